@@ -41,6 +41,15 @@ class ObstaclePaths(NamedTuple):
         """Keep some obstacles, by a mask or by index."""
         return ObstaclePaths(*(part[rows] for part in self))
 
+    def join_points(
+        self, paths: Float[Array, "points pieces 4 d"], clearance: Float[Array, " points"]
+    ) -> "ObstaclePaths":
+        """Return the same, and points with the distances to keep from each [m]."""
+        corners = np.zeros((len(paths), *self.corners.shape[1:]))
+        velocity = np.zeros((len(paths), paths.shape[-1]))
+        more = ObstaclePaths(paths, corners, clearance, velocity)
+        return ObstaclePaths(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
     def until_piece(self, count: int) -> "ObstaclePaths":
         """Return the same for the first pieces."""
         return self._replace(paths=self.paths[:, :count])

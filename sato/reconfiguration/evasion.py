@@ -1,11 +1,7 @@
-"""Evasion: an agent that something comes over stops elsewhere, and takes along those in its way.
+"""Evasion: agents that something comes over stop elsewhere, and others make room for them.
 
-Two trajectories that are changed by the same displacement at all times keep their distance. So
-where a way out leads an agent into others, these change theirs as it does, and those whom they
-meet then, too, until none is met; one that cannot, at its limits, stops in another way.
-
-The ways out are sampled. A program is convex, and chooses a side of each obstacle; among several
-that move, such as a group of lost vehicles, ways out differ for each place and each duration.
+A search finds on which sides to pass what comes, for each agent alone. From these ways on, one
+program changes the controls of all in the crowd about them, until all are clear of each other.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,23 +14,27 @@ from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
+from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
-from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear
-from sato.obstacles import spread_directions
+from problems.joint_stops import JointStopProblem, StoppingVehicle
+from problems.obstacle_paths import ObstaclePaths, is_path_clear, violation
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import longest_way, stays_within_reach, stopping_horizon
+from sato.reconfiguration.stop_search import search_stops
+from sato.reconfiguration.stopping import stays_within_reach, stopping_horizon
 from sato.scp.planner import Priority
 
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
-DIRECTIONS = {2: 24, 3: 40}  # of places around, by the number of axes
-DISTANCES, DURATIONS = 8, 16  # of places around, and until rest
 AT_REST = 1e-9  # of the clearance: paths that stay so near to their ends are at rest
-NEAREST = 0.25  # of R: distance of the nearest places
-MAX_TRIED = 100  # ways out of an agent that are tried, those of least change first
-MAX_APART = 20  # other stops, of one in its way
+UNCHANGED = 1e-6  # of the control limit: who changes by less changes nothing
+MAX_TRIED = 20  # stops of a search that are flown
+MAX_CHANGES = 12  # that one program after another finds
+PROGRESS, PATIENCE = 0.95, 2  # factor of the slack from program to program; programs without it
+SMALL = 1e-3  # of the distance: slack that may be left to the next program
+CROWDED = 2.0  # of the distance: others that are nearer are in a crowd
+MAX_CROWD = 60  # agents that change together
 
 Look = tuple[int, ObstaclePaths | None]  # steps for which to rest at the end, and what to avoid
 
@@ -122,6 +122,8 @@ def find_evasions(
 ) -> dict[int, EvasionReport]:
     """Change what agents have committed to where something comes over them.
 
+    Where nothing is found that is clear of all, the change is made that lacks least.
+
     Args:
         mission: Limits of the vehicles.
         horizon: Horizon in which all have come to rest.
@@ -131,206 +133,169 @@ def find_evasions(
         Reports of those that change, as they are then.
     """
     now = sorted(reports, key=lambda report: report.agent)
-    changed: dict[int, EvasionReport] = {}
-    for a in sorted(range(len(now)), key=lambda row: now[row].priority):
-        for row, report in _evade(mission, horizon, now, a).items():
-            now[row] = changed[report.agent] = report
-    return changed
-
-
-def _evade(
-    mission: Reconfiguration, horizon: AvoidanceHorizon, now: list[EvasionReport], row: int
-) -> dict[int, EvasionReport]:
-    """Find a way out for an agent, and the changes of all in its way; none where none is found."""
-    own = now[row]
-    for look in own.looks:
-        if is_path_clear(own.path, look[1]):
-            return {}
-        each = [*now]
-        each[row] = replace(own, looks=(look,))
-        for u in islice(list_stops(mission, horizon, each[row]), MAX_TRIED):
-            changed = _change_together(mission, horizon, each, row, u - own.u)
-            if changed is not None:
-                return changed | {row: replace(changed[row], looks=own.looks)}
-    return {}
-
-
-def _change_together(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: list[EvasionReport],
-    row: int,
-    change: Float[Array, "T m"],
-) -> dict[int, EvasionReport] | None:
-    """Change the controls of an agent, and of all that are met then; None where one cannot.
-
-    One that cannot fly the same change stops in another way, which those that it meets fly then.
-    """
-    before, clearance = (np.array([getattr(r, k) for r in now]) for k in ("path", "clearance"))
-    after, changed, left = before.copy(), dict[int, EvasionReport](), {row: change}
-    while left:
-        a, wanted = left.popitem()
-        apart = (clearance + clearance[a]) / 2
-        report = _change(mission, horizon, now[a], wanted)
-        after[a] = before[a] if report is None else report.path
-        keeps = _keep_clear(after, before, a, apart)
-        if a != row and (report is None or not keeps[[*changed]].all()):
-            report = _stop_apart(mission, horizon, now, a, after, apart, [*changed])
-            after[a] = before[a] if report is None else report.path
-            keeps = _keep_clear(after, before, a, apart)
-        if report is None:
-            return None
-        changed[a] = report
-        keeps[[*changed, *left]] = True
-        left |= dict.fromkeys(np.flatnonzero(~keeps).tolist(), report.u - now[a].u)
-    kept = (_keep_clear(after, before, a, (clearance + clearance[a]) / 2) for a in changed)
-    return changed if all(own.all() for own in kept) else None
-
-
-def _are_apart(
-    path: Float[Array, "pieces 4 d"],
-    paths: Float[Array, "agents pieces 4 d"],
-    clearance: Float[Array, " agents"],
-    rows: list[int],
-) -> bool:
-    """Tell whether a path is clear of those of some agents."""
-    return bool(convexify.are_hulls_separated(path - paths[rows], clearance[rows]).all())
-
-
-def _change(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    own: EvasionReport,
-    change: Float[Array, "T m"],
-) -> EvasionReport | None:
-    """Change the controls of an agent; None where it may not or cannot fly so."""
-    u, d = own.u + change, mission.axes
-    x = horizon.discrete_model.simulate(own.state, u)
-    if not _keep_limits(mission, own.agent, u[None], x[None])[0]:
-        return None
-    path = horizon.control_points(x, u)
-    is_clear = any(is_path_clear(path, obstacles) for _, obstacles in own.looks)
-    if is_clear and stays_within_reach(mission, horizon, x[:, :d], path):
-        return replace(own, u=u, path=path)
-    return None
-
-
-def _stop_apart(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: list[EvasionReport],
-    row: int,
-    paths: Float[Array, "agents pieces 4 d"],
-    clearance: Float[Array, " agents"],
-    rows: list[int],
-) -> EvasionReport | None:
-    """Find a stop of an agent that is clear of some others, if possible of all; None without."""
-    own, found = now[row], None
-    everyone = [a for a in range(len(now)) if a != row]
-    for u in islice(list_stops(mission, horizon, own, paths[rows], clearance[rows]), MAX_APART):
-        report = _change(mission, horizon, own, u - own.u)
-        if report and _are_apart(report.path, paths, clearance, rows):
-            if _are_apart(report.path, paths, clearance, everyone):
-                return report
-            found = found or report
+    met = [a for a, own in enumerate(now) if not is_path_clear(own.path, own.looks[-1][1])]
+    if not met:
+        return {}
+    required = _required_distances(now)
+    found, least = dict[int, EvasionReport](), _measure_lack(now, met)
+    for n in range(max(len(now[a].looks) for a in met)):
+        looks = [
+            own.looks[n if a in met and n < len(own.looks) else -1] for a, own in enumerate(now)
+        ]
+        for after in islice(_evade(mission, horizon, now, met, looks, required), MAX_CHANGES):
+            if not _is_allowed(mission, horizon, now, after, met, required):
+                continue
+            is_clear = all(is_path_clear(after[a].path, looks[a][1]) for a in met)
+            lack = _measure_lack(after, met)
+            if is_clear or lack < least:
+                changed = (own for own, was in zip(after, now, strict=True) if own is not was)
+                found, least = {own.agent: own for own in changed}, lack
+            if is_clear:
+                return found
     return found
 
 
-def _keep_clear(
-    after: Float[Array, "agents pieces 4 d"],
-    before: Float[Array, "agents pieces 4 d"],
-    row: int,
-    clearance: Float[Array, " agents"],
-) -> Bool[Array, " agents"]:
-    """Tell which agents one is clear of after a change, or no nearer to than it was before."""
-    is_clear = np.array(convexify.are_hulls_separated(after[row] - after, clearance).all(axis=1))
-    is_clear[row] = True
-    for a in np.flatnonzero(~is_clear):
-        now, kept = (float(hull_distance(own[row] - own[a])[0].min()) for own in (after, before))
-        is_clear[a] = now >= min(float(clearance[a]), kept * (1 - ROUNDING))
-    return is_clear
-
-
-def _keep_limits(
-    mission: Reconfiguration,
-    agent: int,
-    u: Float[Array, "ways T m"],
-    x: Float[Array, "ways instants n"],
-) -> Bool[Array, " ways"]:
-    """Tell which controls and states keep the limits of an agent."""
-    control, speed = mission.planned_control_limit(agent), mission.speed_limit(agent)
-    is_beyond = control.is_exceeded(u).any(axis=1)
-    return np.asarray(~(is_beyond | speed.is_exceeded(x[:, 1:, mission.axes :]).any(axis=1)))
-
-
-def list_stops(
+def _evade(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
-    own: EvasionReport,
-    others: Float[Array, "others pieces 4 d"] | None = None,
-    clearance: Sequence[float] | Float[Array, " others"] = (),
-) -> Iterator[Float[Array, "T m"]]:
-    """List stops of an agent, those of least change first.
-
-    They are clear of others and of obstacles at the beginnings of all pieces; whether in between,
-    too, is for the caller to check.
+    now: Sequence[EvasionReport],
+    met: Sequence[int],
+    looks: Sequence[Look],
+    required: Float[Array, "agents agents"],
+) -> Iterator[list[EvasionReport]]:
+    """List changes, each closer than the one before to one that is clear of all.
 
     Args:
-        mission: Limits.
+        mission: Limits of the vehicles.
         horizon: Horizon in which all have come to rest.
-        own: The agent, of whose looks the last counts.
-        others: Control points of others.
-        clearance: Distance to keep from each [m].
+        now: Reports of all.
+        met: Rows of those that something comes over.
+        looks: How long each rests, and what it has to avoid.
+        required: Distances of two [m].
     """
-    rest_steps, obstacles = own.looks[-1]
-    latest = max(horizon.steps - 1 - rest_steps, 2)
-    durations = np.unique(np.geomspace(2, latest, DURATIONS).round().astype(int))
-    places = _list_places(mission)
-    each = [move_and_rest(mission.step, own.state, places, n) for n in durations.tolist()]
-    u = np.concatenate([np.pad(w, ((0, 0), (0, len(own.u) - w.shape[1]), (0, 0))) for w in each])
-    x = horizon.discrete_model.simulate(np.broadcast_to(own.state, (len(u), len(own.state))), u)
-    is_kept = _keep_limits(mission, own.agent, u, x)
-    u, x = u[is_kept], x[is_kept]
-    if not len(u):
-        return
-    points = horizon.control_points(x, u)[:, :, 0]
-    for path, distance in zip(() if others is None else others, clearance, strict=True):
-        is_clear = (np.linalg.norm(points - path[:, 0], axis=2) >= distance).all(axis=1)
-        u, points = u[is_clear], points[is_clear]
-    for one in range(0 if obstacles is None else len(obstacles.paths)):
-        assert obstacles is not None
-        is_clear = are_points_clear(points, obstacles, one).all(axis=1)
-        u, points = u[is_clear], points[is_clear]
-    yield from u[np.argsort(np.abs(u - own.u).sum(axis=(1, 2)), kind="stable")]
+    before, least_change = np.stack([own.u for own in now]), UNCHANGED * mission.least_braking
+    u = before.copy()
+    for a in met:
+        u[a] = _search_way(mission, horizon, now, a, looks[a], required[a])
+    problem = _make_problem(mission, horizon, now, met, looks, required, u)
+    least, stalled = np.inf, 0
+    while stalled < PATIENCE:
+        paths = problem.fly(u)[1]
+        is_changed = (np.abs(u - before) > least_change).any(axis=(1, 2))
+        each = zip(now, u, paths, is_changed.tolist(), strict=True)
+        yield [replace(own, u=w, path=p) if differs else own for own, w, p, differs in each]
+        try:
+            u, slack = problem.improve(u)
+        except Unsolved:
+            return
+        stalled = 0 if slack < max(PROGRESS * least, SMALL * required.max()) else stalled + 1
+        least = min(least, slack)
 
 
-def _list_places(mission: Reconfiguration) -> Float[Array, "places d"]:
-    """List places around an agent within its reach, from where it is; the first is there."""
-    R, d = mission.largest_separation, mission.axes
-    reach = min(longest_way(mission), mission.comm_radius)
-    sizes = np.geomspace(NEAREST * R, max(reach, R), DISTANCES)
-    around = sizes[:, None, None] * spread_directions(d, DIRECTIONS[d])
-    return np.concatenate([np.zeros((1, d)), around.reshape(-1, d)])
+def _search_way(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    now: Sequence[EvasionReport],
+    row: int,
+    look: Look,
+    required: Float[Array, " agents"],
+) -> Float[Array, "T m"]:
+    """Search a way out of an agent, clear of all or else of obstacles; what it had without one."""
+    own, (rest_steps, obstacles) = now[row], look
+    if obstacles is None or is_path_clear(own.path, obstacles):
+        return own.u
+    others = [a for a in range(len(now)) if a != row]
+    paths = np.stack([own.path for own in now])[others]
+    for bodies in (obstacles.join_points(paths, required[others]), obstacles):
+        found = search_stops(mission, horizon, own.agent, own.state, rest_steps, bodies)
+        for u in islice(found, MAX_TRIED):
+            path = horizon.control_points(horizon.discrete_model.simulate(own.state, u), u)
+            if is_path_clear(path, bodies):
+                return u
+    return own.u
 
 
-def move_and_rest(
-    h: float, start: Float[Array, " n"], places: Float[Array, "places d"], steps: int
-) -> Float[Array, "places T m"]:
-    """Return the controls of least energy that bring a double integrator to rest at places.
+def _make_problem(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    now: Sequence[EvasionReport],
+    met: Sequence[int],
+    looks: Sequence[Look],
+    required: Float[Array, "agents agents"],
+    u: Float[Array, "agents T m"],
+) -> JointStopProblem:
+    """Make the program of the crowd about those that something comes over."""
+    vehicles = tuple(
+        StoppingVehicle(
+            own.state,
+            own.u,
+            mission.planned_control_limit(own.agent),
+            mission.speed_limit(own.agent),
+            max(horizon.steps - 1 - rest_steps, 1),
+            obstacles,
+        )
+        for own, (rest_steps, obstacles) in zip(now, looks, strict=True)
+    )
+    every = np.ones(len(now), dtype=bool)
+    paths = JointStopProblem(horizon, vehicles, required, every).fly(u)[1]
+    return JointStopProblem(horizon, vehicles, required, _find_crowd(paths, met, required))
 
-    They are linear in time: u[k] = a + b k, with h Σ u[k] = −v, and h² Σ (T − k − ½) u[k] the way
-    that is left.
 
-    Args:
-        h: Step [s].
-        start: State.
-        places: Places, from where it is [m].
-        steps: Steps T until it rests, 2 or more.
-    """
-    k = np.arange(steps)
-    velocity, weight = start[len(start) // 2 :], steps - k - 0.5
-    sums = np.array([[steps, k.sum()], [weight.sum(), (weight * k).sum()]])
-    way = (places - steps * h * velocity) / h**2
-    asked = np.stack([np.broadcast_to(-velocity / h, way.shape), way])
-    a, b = np.linalg.solve(sums, asked.reshape(2, -1)).reshape(2, *way.shape)
-    return np.asarray(a[:, None] + k[:, None] * b[:, None])
+def _find_crowd(
+    paths: Float[Array, "agents pieces 4 d"],
+    met: Sequence[int],
+    required: Float[Array, "agents agents"],
+) -> Bool[Array, " agents"]:
+    """Find those near some agents, those near these, and so on, the nearest up to a number."""
+    crowd, apart = np.zeros(len(paths), dtype=bool), np.full(len(paths), np.inf)
+    apart[list(met)] = 0.0
+    while True:
+        a = int(np.where(crowd, np.inf, apart).argmin())
+        if crowd[a] or apart[a] > CROWDED or crowd.sum() >= MAX_CROWD:
+            return crowd
+        crowd[a] = True
+        away = np.linalg.norm(paths - paths[a], axis=-1).min(axis=(1, 2))
+        apart = np.minimum(apart, away / np.maximum(required[a], 1e-300))
+
+
+def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents agents"]:
+    """Return the distances that two have to keep: those of their kinds, or what they keep now."""
+    clearance, paths = (np.array([getattr(own, k) for own in now]) for k in ("clearance", "path"))
+    required = np.asarray((clearance[:, None] + clearance) / 2)
+    i, j = np.triu_indices(len(now), 1)
+    is_clear = convexify.are_paths_separated(paths, i, j, required[i, j])
+    for a, b in zip(i[~is_clear], j[~is_clear], strict=True):
+        kept = float(hull_distance(paths[a] - paths[b])[0].min()) * (1 - ROUNDING)
+        required[a, b] = required[b, a] = min(required[a, b], kept)
+    return required
+
+
+def _measure_lack(reports: Sequence[EvasionReport], rows: Sequence[int]) -> float:
+    """Add up by how much agents lack the distance from obstacles at most [m]."""
+    return sum(violation(reports[a].path, reports[a].looks[-1][1]) for a in rows)
+
+
+def _is_allowed(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    now: Sequence[EvasionReport],
+    after: Sequence[EvasionReport],
+    met: Sequence[int],
+    required: Float[Array, "agents agents"],
+) -> bool:
+    """Tell whether changed agents keep their limits, their reach, and clear of all they were."""
+    changed = [a for a, own in enumerate(after) if own is not now[a]]
+    for a in changed:
+        own, d = after[a], mission.axes
+        x = horizon.discrete_model.simulate(own.state, own.u)
+        control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
+        is_beyond = control.is_exceeded(own.u).any() or speed.is_exceeded(x[1:, d:]).any()
+        if is_beyond or not stays_within_reach(mission, horizon, x[:, :d], own.path):
+            return False
+        if a not in met and not is_path_clear(own.path, own.looks[-1][1]):
+            return False
+    i, j = np.nonzero(np.triu(np.ones_like(required), 1))
+    some = np.isin(i, changed) | np.isin(j, changed)
+    i, j = i[some], j[some]
+    paths = np.stack([own.path for own in after])
+    return bool(convexify.are_paths_separated(paths, i, j, required[i, j]).all())

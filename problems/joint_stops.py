@@ -1,0 +1,324 @@
+"""Stops of several vehicles at once, clear of each other and of bodies in motion.
+
+Sequential convex programming [Morgan2016, Sec. IV], with the controls of all in one program: where
+hardly any room is left, one can give way only if others do.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array, hstack, vstack
+
+from problems.conic import ConicProgram
+from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, choose_normals
+from problems.limit import Limit
+from problems.obstacle_paths import ObstaclePaths, measure_gaps, support_obstacles
+from problems.solvers.verified import solve_program
+
+CHANGE_WEIGHT = 1e-2  # of the square of a change at the limit, for a step
+SLACK_WEIGHT = 30.0  # of a lack of the whole distance
+NEAR = 3.0  # of the distance: pieces that are farther apart have no half-spaces
+ACTIVE = 0.1  # of the distance: half-spaces with less room are in the first program
+VIOLATED = 1e-7  # of the distance: half-spaces that lack more are added
+MAX_PROGRAMS = 8  # in which half-spaces are added
+FULL_BLOCKS, GROWTH = 5, 1.25  # steps with a control of their own; length of each later block
+
+
+class StoppingVehicle(NamedTuple):
+    """Vehicle that stops, with its limits, and what it has to avoid."""
+
+    state: Float[Array, " n"]
+    u: Float[Array, "T m"]  # from which controls should differ by little
+    control_limit: Limit
+    speed_limit: Limit
+    steps: int  # until it rests
+    obstacles: ObstaclePaths | None
+
+
+class NearPieces(NamedTuple):
+    """Pieces of trajectories, and the half-spaces that their control points have to keep."""
+
+    first: Int[Array, " rows"]  # vehicle
+    second: Int[Array, " rows"]  # another vehicle; −1 for an obstacle
+    group: Int[Array, " rows"]  # of pieces of the same two
+    piece: Int[Array, " rows"]
+    normal: Float[Array, "rows d"]
+    point: Float[Array, "rows 4 d"]  # of the obstacle, 0 for a vehicle [m]
+    required: Float[Array, " rows"]  # distance [m]
+
+
+@dataclass(frozen=True, eq=False)
+class JointStopProblem:
+    """Stops of double integrators that change their controls by little.
+
+        minimize    ½ μ Σ ‖(u_i − û_i) / U‖² + λ Σ s_ij / R
+        subject to  x[k+1] = A x[k] + B u[k],  v[T_i] = 0     (10)
+                    ‖u_i[k] / U‖_r ≤ 1,  ‖v_i[k] / V‖_s ≤ 1   (12), (66)
+                    n · (c_i − c_j) ≥ R_ij − s_ij             (38), (64)
+                    n · (c_i − o)   ≥ R_i − s_io,  s ≥ 0
+
+    for all control points c and obstacles o, with normals n about the nominal trajectories. Changes
+    of the controls are constant over the first steps, and over longer and longer blocks after them.
+    """
+
+    horizon: AvoidanceHorizon
+    vehicles: tuple[StoppingVehicle, ...]
+    required: Float[Array, "vehicles vehicles"]  # distances of two [m]
+    is_free: Bool[Array, " vehicles"]  # those that change; all others keep their controls
+
+    def fly(
+        self, u: Float[Array, "vehicles T m"]
+    ) -> tuple[Float[Array, "vehicles instants n"], Float[Array, "vehicles pieces 4 d"]]:
+        """Return states and control points of all."""
+        x = self.horizon.discrete_model.simulate(np.stack([v.state for v in self.vehicles]), u)
+        return x, self.horizon.control_points(x, u)
+
+    def improve(
+        self, u: Float[Array, "vehicles T m"]
+    ) -> tuple[Float[Array, "vehicles T m"], float]:
+        """Solve the program about nominal controls, with half-spaces added as they are violated.
+
+        Returns:
+            Controls, and the sum of the slack [m].
+
+        Raises:
+            Unsolved: The solver failed.
+        """
+        u = u.copy()
+        for a in np.flatnonzero(self.is_free).tolist():
+            u[a, self.vehicles[a].steps :] = 0.0
+        x, paths = self.fly(u)
+        near = self._convexify(paths)
+        room, size = _room(near, paths), float(self.required.max())
+        rows = _worst_per_step(near, room, ACTIVE * size, self.horizon.pieces_per_step)
+        limits = self._limits(u, x)
+        for _ in range(MAX_PROGRAMS):
+            after, slack = self._solve(u, near, room, rows, limits)
+            left = _room(near, self.fly(after)[1]) + slack[near.group, None]
+            more = _worst_per_step(near, left, -VIOLATED * size, self.horizon.pieces_per_step, rows)
+            if not len(more[0]):
+                break
+            rows = np.append(rows[0], more[0]), np.append(rows[1], more[1])
+        return after, float(slack.sum())
+
+    @cached_property
+    def _blocks(self) -> list[Float[Array, "T blocks"]]:
+        """Controls of each vehicle by those of its blocks; without columns where it is not free."""
+        T, free = self.horizon.steps, self.is_free
+        return [
+            _make_blocks(v.steps if is_free else 0, T)
+            for v, is_free in zip(self.vehicles, free.tolist(), strict=True)
+        ]
+
+    @cached_property
+    def _first(self) -> Int[Array, " vehicles"]:
+        """First unknown of each vehicle, and the number of all."""
+        d = self.horizon.discrete_model.axes
+        return np.cumsum([0, *(d * E.shape[1] for E in self._blocks)])
+
+    @cached_property
+    def _on_axis(self) -> tuple[Array, Array]:
+        """Velocities, and unscaled control points, by the controls along the first axis."""
+        T, d = self.horizon.steps, self.horizon.discrete_model.axes
+        u = np.zeros((T, T, d))
+        u[range(T), range(T), 0] = 1.0
+        x = self.horizon.discrete_model.simulate(np.zeros((T, 2 * d)), u)
+        points = self.horizon.unscale_points(self.horizon.control_points(x, u))
+        return x[:, :, d].T, points[..., 0].reshape(T, -1).T
+
+    @cached_property
+    def _on_points(self) -> list[Float[Array, "points blocks"]]:
+        """Control points of each vehicle along an axis, by its blocks."""
+        return [self._on_axis[1] @ E for E in self._blocks]
+
+    def _convexify(self, paths: Float[Array, "vehicles pieces 4 d"]) -> NearPieces:
+        """Choose half-spaces for all that are near each other, about nominal trajectories."""
+        count, (movable,) = (
+            len(paths),
+            np.nonzero(self._on_axis[1].any(axis=1).reshape(-1, 4)[:, 3]),
+        )
+        i, j = np.triu_indices(count, 1)
+        some = self.is_free[i] | self.is_free[j]
+        i, j = i[some], j[some]
+        required = self.required[i, j] * (1 + SEPARATION_TOLERANCE)
+        relative = paths[i] - paths[j]
+        is_near = np.linalg.norm(relative, axis=-1).min(axis=2) < NEAR * required[:, None]
+        some = np.flatnonzero(is_near.any(axis=1))
+        normal = choose_normals(relative[some], required[some])
+        pair, piece = np.nonzero(is_near[some][:, movable])
+        piece, rows = movable[piece], some[pair]
+        none = np.zeros((len(piece), *paths.shape[2:]))
+        found = [
+            NearPieces(i[rows], j[rows], rows, piece, normal[pair, piece], none, required[rows])
+        ]
+        groups = len(i)
+        for a in np.flatnonzero(self.is_free).tolist():
+            obstacles = self.vehicles[a].obstacles
+            if obstacles is None:
+                continue
+            support, across = support_obstacles(paths[a], obstacles)
+            gap, _ = measure_gaps(paths[a] - obstacles.paths, obstacles)
+            kept = obstacles.clearance * (1 + SEPARATION_TOLERANCE)
+            one, piece = np.nonzero((gap < NEAR * kept[:, None])[:, movable])
+            piece, own = movable[piece], np.full(len(one), a)
+            parts = piece, across[one, piece], support[one, piece], kept[one]
+            found.append(NearPieces(own, np.full(len(one), -1), groups + one, *parts))
+            groups += len(kept)
+        return NearPieces(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+    def _limits(
+        self, u: Float[Array, "vehicles T m"], x: Float[Array, "vehicles instants n"]
+    ) -> list[list[tuple[csr_array, Array]]]:
+        """Return rows and rhs: rhs − rows · unknowns are zero, nonnegative, or in cones."""
+        d, free = self.horizon.discrete_model.axes, np.flatnonzero(self.is_free).tolist()
+        kinds: list[list[tuple[csr_array, Array]]] = [[], [], []]
+        for a in free:
+            vehicle, E, columns = self.vehicles[a], self._blocks[a], self._first[a]
+            on_v, T = self._on_axis[0] @ E, vehicle.steps
+
+            def place(rows: Array, rhs: Array, kind: int, columns: int = columns) -> None:
+                k, c = np.nonzero(rows)
+                entries = rows[k, c], (k, columns + c)
+                shape = len(rows), int(self._first[-1])
+                kinds[kind].append((csr_array(coo_array(entries, shape=shape)), rhs))
+
+            eye = np.eye(d)
+            place(np.kron(on_v[T : T + 1], eye), -x[a, T, d:], 0)
+            bounds = (
+                (vehicle.control_limit, E[:T], u[a, :T]),
+                (vehicle.speed_limit, on_v[1:T], x[a, 1:T, d:]),
+            )
+            for limit, response, drift in bounds:
+                if not np.isfinite(limit.most):
+                    continue
+                each = np.kron(response, eye).reshape(len(response), d, -1)
+                rows, rhs = limit.constrain(each, drift)
+                place(-rows, rhs, 1 if limit.faces is not None else 2)
+        return kinds
+
+    def _solve(
+        self,
+        u: Float[Array, "vehicles T m"],
+        near: NearPieces,
+        room: Float[Array, "rows 4"],
+        rows: tuple[Array, Array],
+        limits: list[list[tuple[csr_array, Array]]],
+    ) -> tuple[Float[Array, "vehicles T m"], Float[Array, " groups"]]:
+        """Solve with some of the half-spaces; the slack of each group of pieces is returned too."""
+        at, point = rows
+        groups, slack_of = np.unique(near.group[at], return_inverse=True)
+        count, slacks = int(self._first[-1]), len(groups)
+        coeffs = self._coefficients(near, at, point)
+        one = csr_array((np.ones(len(at)), (np.arange(len(at)), slack_of)), (len(at), slacks))
+        zero, nonnegative, cones = (
+            (
+                _pad(vstack([rows for rows, _ in kind]) if kind else csr_array((0, count)), slacks),
+                np.concatenate([rhs for _, rhs in kind]) if kind else np.zeros(0),
+            )
+            for kind in limits
+        )
+        positive = hstack([csr_array((slacks, count)), -diags_array(np.ones(slacks))])
+        A = vstack([zero[0], nonnegative[0], hstack([-coeffs, -one]), positive, cones[0]])
+        b = np.concatenate([zero[1], nonnegative[1], room[at, point], np.zeros(slacks), cones[1]])
+        quadratic, linear = self._cost(u)
+        q = np.append(linear, np.full(slacks, SLACK_WEIGHT / self.required.max()))
+        P = diags_array(np.append(quadratic, np.zeros(slacks)))
+        inequalities, d = len(nonnegative[1]) + len(at) + slacks, u.shape[2]
+        sizes = (d + 1,) * (len(cones[1]) // (d + 1))
+        program = ConicProgram(
+            q, csc_array(A), b, len(zero[1]), inequalities, sizes, P=csc_array(P)
+        )
+        unknowns = solve_program(program).x
+        slack = np.zeros(int(near.group.max(initial=-1)) + 1)
+        slack[groups] = unknowns[count:]
+        return self._fly_blocks(u, unknowns), slack
+
+    def _coefficients(self, near: NearPieces, at: Array, point: Array) -> csr_array:
+        """Return the change of the room of control points by the unknowns."""
+        scale = np.array(self.horizon.scale or np.ones(self.horizon.discrete_model.axes))
+        found: list[tuple[Array, Array, Array]] = []
+        for vehicle, sign in ((near.first[at], 1.0), (near.second[at], -1.0)):
+            for a in np.flatnonzero(self.is_free).tolist():
+                rows = np.flatnonzero(vehicle == a)
+                response = self._on_points[a][4 * near.piece[at[rows]] + point[rows]]
+                along = sign * scale * near.normal[at[rows]]
+                each = (response[:, :, None] * along[:, None]).reshape(
+                    len(rows), response.shape[1] * along.shape[1]
+                )
+                k, c = np.nonzero(each)
+                found.append((each[k, c], rows[k], self._first[a] + c))
+        entries, k, c = (np.concatenate(part) for part in zip(*found, strict=True))
+        return csr_array(coo_array((entries, (k, c)), shape=(len(at), int(self._first[-1]))))
+
+    def _cost(self, u: Float[Array, "vehicles T m"]) -> tuple[Array, Array]:
+        """Return the diagonal of the quadratic cost, and the linear cost."""
+        quadratic, linear = [], []
+        for vehicle, E, own in zip(self.vehicles, self._blocks, u, strict=True):
+            weight = CHANGE_WEIGHT / vehicle.control_limit.most**2
+            quadratic.append(weight * np.repeat(E.sum(axis=0), own.shape[1]))
+            linear.append(weight * (E.T @ (own - vehicle.u)).ravel())
+        return np.concatenate(quadratic), np.concatenate(linear)
+
+    def _fly_blocks(
+        self, u: Float[Array, "vehicles T m"], unknowns: Float[Array, " unknowns"]
+    ) -> Float[Array, "vehicles T m"]:
+        """Return controls, within their limits, that rest; a last step takes what speed is left."""
+        after, d, h = u.copy(), u.shape[2], self.horizon.discrete_model.dt
+        for a in np.flatnonzero(self.is_free).tolist():
+            vehicle = self.vehicles[a]
+            own = unknowns[self._first[a] : self._first[a + 1]].reshape(-1, d)
+            after[a] = vehicle.control_limit.cut(u[a] + self._blocks[a] @ own)
+            after[a, vehicle.steps :] = 0.0
+            after[a, vehicle.steps] = -(vehicle.state[d:] / h + after[a].sum(axis=0))
+        return after
+
+
+def _make_blocks(steps: int, T: int) -> Float[Array, "T blocks"]:
+    """Divide steps into blocks; column j is 1 at the steps of block j."""
+    ends, length = list(range(1, min(FULL_BLOCKS, steps) + 1)), 1.0
+    while ends and ends[-1] < steps:
+        length *= GROWTH
+        ends.append(min(ends[-1] + int(length), steps))
+    k = np.arange(T)[:, None]
+    begins, until = np.array([0, *ends[:-1]][: len(ends)], dtype=int), np.array(ends, dtype=int)
+    return ((begins <= k) & (k < until)).astype(float)
+
+
+def _room(near: NearPieces, paths: Float[Array, "vehicles pieces 4 d"]) -> Float[Array, "rows 4"]:
+    """Compute by how much control points keep their half-spaces [m]."""
+    own = paths[near.first, near.piece]
+    is_vehicle = (near.second >= 0)[:, None, None]
+    other = np.where(is_vehicle, paths[near.second, near.piece], near.point)
+    along = np.einsum("pd,pid->pi", near.normal, own - other)
+    return np.asarray(along - near.required[:, None])
+
+
+def _worst_per_step(
+    near: NearPieces,
+    room: Float[Array, "rows 4"],
+    most: float,
+    pieces_per_step: int,
+    known: tuple[Array, ...] = (),
+) -> tuple[Array, Array]:
+    """Select the control point with the least room, of each group and step, if below a bound.
+
+    Returns:
+        Rows of the pieces, and control points of these.
+    """
+    least, point = room.min(axis=1), room.argmin(axis=1)
+    order = np.argsort(least, kind="stable")
+    steps = int(near.piece.max(initial=0)) // pieces_per_step + 1
+    key = near.group * steps + near.piece // pieces_per_step
+    rows = order[np.unique(key[order], return_index=True)[1]]
+    rows = rows[least[rows] < most]
+    if known:
+        rows = rows[~np.isin(4 * rows + point[rows], 4 * known[0] + known[1])]
+    return rows, point[rows]
+
+
+def _pad(rows: csr_array, columns: int) -> csr_array:
+    return hstack([rows, csr_array((rows.shape[0], columns))])
