@@ -11,10 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array, hstack, vstack
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array, hstack, vstack
 
 from problems.conic import ConicProgram
-from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, choose_normals
+from problems.convexify import (
+    SEPARATION_TOLERANCE,
+    AvoidanceHorizon,
+    choose_normals,
+    enclosing_balls,
+)
 from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, measure_gaps, support_obstacles
 from problems.solvers.verified import solve_program
@@ -24,7 +29,8 @@ SLACK_WEIGHT = 30.0  # of a lack of the whole distance
 NEAR = 3.0  # of the distance: pieces that are farther apart have no half-spaces
 ACTIVE = 0.1  # of the distance: half-spaces with less room are in the first program
 VIOLATED = 1e-7  # of the distance: half-spaces that lack more are added
-MAX_PROGRAMS = 8  # in which half-spaces are added
+FAST = 0.5  # of the speed limit, from which on it is in the program
+MAX_PROGRAMS = 5  # in which half-spaces are added
 FULL_BLOCKS, GROWTH = 5, 1.25  # steps with a control of their own; length of each later block
 
 
@@ -55,14 +61,15 @@ class NearPieces(NamedTuple):
 class JointStopProblem:
     """Stops of double integrators that change their controls by little.
 
-        minimize    ½ μ Σ ‖(u_i − û_i) / U‖² + λ Σ s_ij / R
+        minimize    ½ μ Σ ‖(u_i − û_i) / U‖² + λ Σ s
         subject to  x[k+1] = A x[k] + B u[k],  v[T_i] = 0     (10)
                     ‖u_i[k] / U‖_r ≤ 1,  ‖v_i[k] / V‖_s ≤ 1   (12), (66)
-                    n · (c_i − c_j) ≥ R_ij − s_ij             (38), (64)
-                    n · (c_i − o)   ≥ R_i − s_io,  s ≥ 0
+                    n · (c_i − c_j) ≥ R_ij (1 − s_ij)         (38), (64)
+                    n · (c_i − o)   ≥ R_i (1 − s_io),  s ≥ 0
 
     for all control points c and obstacles o, with normals n about the nominal trajectories. Changes
-    of the controls are constant over the first steps, and over longer and longer blocks after them.
+    of the controls are constant over each of the first steps, then over longer and longer blocks.
+    Vehicles that keep what they have are fixed; their speeds and controls may be beyond the limits.
     """
 
     horizon: AvoidanceHorizon
@@ -83,7 +90,7 @@ class JointStopProblem:
         """Solve the program about nominal controls, with half-spaces added as they are violated.
 
         Returns:
-            Controls, and the sum of the slack [m].
+            Controls, and the sum of the slack s.
 
         Raises:
             Unsolved: The solver failed.
@@ -93,13 +100,13 @@ class JointStopProblem:
             u[a, self.vehicles[a].steps :] = 0.0
         x, paths = self.fly(u)
         near = self._convexify(paths)
-        room, size = _room(near, paths), float(self.required.max())
-        rows = _worst_per_step(near, room, ACTIVE * size, self.horizon.pieces_per_step)
+        room = self._room(near, paths)
+        rows = self._worst_per_step(near, room, ACTIVE)
         limits = self._limits(u, x)
         for _ in range(MAX_PROGRAMS):
             after, slack = self._solve(u, near, room, rows, limits)
-            left = _room(near, self.fly(after)[1]) + slack[near.group, None]
-            more = _worst_per_step(near, left, -VIOLATED * size, self.horizon.pieces_per_step, rows)
+            left = self._room(near, self.fly(after)[1]) + slack[near.group, None]
+            more = self._worst_per_step(near, left, -VIOLATED, rows)
             if not len(more[0]):
                 break
             rows = np.append(rows[0], more[0]), np.append(rows[1], more[1])
@@ -107,10 +114,13 @@ class JointStopProblem:
 
     @cached_property
     def _blocks(self) -> list[Float[Array, "T blocks"]]:
-        """Controls of each vehicle by those of its blocks; without columns where it is not free."""
+        """Controls of each vehicle by its unknowns; without columns where it is not free.
+
+        Unknowns are changes of the control over a block, in units of its limit.
+        """
         T, free = self.horizon.steps, self.is_free
         return [
-            _make_blocks(v.steps if is_free else 0, T)
+            v.control_limit.most * _make_blocks(v.steps if is_free else 0, T)
             for v, is_free in zip(self.vehicles, free.tolist(), strict=True)
         ]
 
@@ -137,24 +147,20 @@ class JointStopProblem:
 
     def _convexify(self, paths: Float[Array, "vehicles pieces 4 d"]) -> NearPieces:
         """Choose half-spaces for all that are near each other, about nominal trajectories."""
-        count, (movable,) = (
-            len(paths),
-            np.nonzero(self._on_axis[1].any(axis=1).reshape(-1, 4)[:, 3]),
-        )
-        i, j = np.triu_indices(count, 1)
+        i, j = np.triu_indices(len(paths), 1)
         some = self.is_free[i] | self.is_free[j]
+        middle, extent = enclosing_balls(paths)
+        required = self.required * (1 + SEPARATION_TOLERANCE)
+        apart = np.linalg.norm(middle[i] - middle[j], axis=1) - extent[i] - extent[j]
+        some &= apart < NEAR * required[i, j]
         i, j = i[some], j[some]
-        required = self.required[i, j] * (1 + SEPARATION_TOLERANCE)
-        relative = paths[i] - paths[j]
-        is_near = np.linalg.norm(relative, axis=-1).min(axis=2) < NEAR * required[:, None]
-        some = np.flatnonzero(is_near.any(axis=1))
-        normal = choose_normals(relative[some], required[some])
-        pair, piece = np.nonzero(is_near[some][:, movable])
-        piece, rows = movable[piece], some[pair]
+        relative, kept = paths[i] - paths[j], required[i, j]
+        normal = choose_normals(relative, kept)
+        is_near = np.linalg.norm(relative, axis=-1).min(axis=2) < NEAR * kept[:, None]
+        pair, piece = np.nonzero(is_near)
         none = np.zeros((len(piece), *paths.shape[2:]))
-        found = [
-            NearPieces(i[rows], j[rows], rows, piece, normal[pair, piece], none, required[rows])
-        ]
+        parts = i[pair], j[pair], pair, piece, normal[pair, piece], none, kept[pair]
+        found = [NearPieces(*parts)]
         groups = len(i)
         for a in np.flatnonzero(self.is_free).tolist():
             obstacles = self.vehicles[a].obstacles
@@ -163,12 +169,47 @@ class JointStopProblem:
             support, across = support_obstacles(paths[a], obstacles)
             gap, _ = measure_gaps(paths[a] - obstacles.paths, obstacles)
             kept = obstacles.clearance * (1 + SEPARATION_TOLERANCE)
-            one, piece = np.nonzero((gap < NEAR * kept[:, None])[:, movable])
-            piece, own = movable[piece], np.full(len(one), a)
-            parts = piece, across[one, piece], support[one, piece], kept[one]
-            found.append(NearPieces(own, np.full(len(one), -1), groups + one, *parts))
+            one, piece = np.nonzero(gap < NEAR * kept[:, None])
+            own, other = np.full(len(one), a), np.full(len(one), -1)
+            planes = across[one, piece], support[one, piece], kept[one]
+            found.append(NearPieces(own, other, groups + one, piece, *planes))
             groups += len(kept)
         return NearPieces(*(np.concatenate(part) for part in zip(*found, strict=True)))
+
+    def _room(
+        self, near: NearPieces, paths: Float[Array, "vehicles pieces 4 d"]
+    ) -> Float[Array, "rows 4"]:
+        """Compute by how much control points keep their half-spaces, over the distance.
+
+        Infinite for those that no control can move.
+        """
+        own, is_vehicle = paths[near.first, near.piece], (near.second >= 0)[:, None, None]
+        other = np.where(is_vehicle, paths[near.second, near.piece], near.point)
+        along = np.einsum("pd,pid->pi", near.normal, own - other)
+        is_movable = self._on_axis[1].any(axis=1).reshape(-1, 4)[near.piece]
+        return np.where(is_movable, along / near.required[:, None] - 1, np.inf)
+
+    def _worst_per_step(
+        self,
+        near: NearPieces,
+        room: Float[Array, "rows 4"],
+        most: float,
+        known: tuple[Array, ...] = (),
+    ) -> tuple[Array, Array]:
+        """Select the control point with the least room, of each group and step, if below a bound.
+
+        Returns:
+            Rows of the pieces, and control points of these.
+        """
+        least, point = room.min(axis=1), room.argmin(axis=1)
+        order = np.argsort(least, kind="stable")
+        step = near.piece // self.horizon.pieces_per_step
+        key = near.group * self.horizon.steps + step
+        rows = order[np.unique(key[order], return_index=True)[1]]
+        rows = rows[least[rows] < most]
+        if known:
+            rows = rows[~np.isin(4 * rows + point[rows], 4 * known[0] + known[1])]
+        return rows, point[rows]
 
     def _limits(
         self, u: Float[Array, "vehicles T m"], x: Float[Array, "vehicles instants n"]
@@ -180,7 +221,7 @@ class JointStopProblem:
             vehicle, E, columns = self.vehicles[a], self._blocks[a], self._first[a]
             on_v, T = self._on_axis[0] @ E, vehicle.steps
 
-            def place(rows: Array, rhs: Array, kind: int, columns: int = columns) -> None:
+            def place(rows: Array, rhs: Array, kind: int, columns: int = int(columns)) -> None:
                 k, c = np.nonzero(rows)
                 entries = rows[k, c], (k, columns + c)
                 shape = len(rows), int(self._first[-1])
@@ -188,14 +229,16 @@ class JointStopProblem:
 
             eye = np.eye(d)
             place(np.kron(on_v[T : T + 1], eye), -x[a, T, d:], 0)
+            speed = vehicle.speed_limit
+            fast = 1 + np.flatnonzero(speed.measure(x[a, 1:T, d:]) > FAST * speed.most)
             bounds = (
                 (vehicle.control_limit, E[:T], u[a, :T]),
-                (vehicle.speed_limit, on_v[1:T], x[a, 1:T, d:]),
+                (speed, on_v[fast], x[a, fast, d:]),
             )
             for limit, response, drift in bounds:
-                if not np.isfinite(limit.most):
+                if not len(response):
                     continue
-                each = np.kron(response, eye).reshape(len(response), d, -1)
+                each = np.kron(response, eye).reshape(len(response), d, d * E.shape[1])
                 rows, rhs = limit.constrain(each, drift)
                 place(-rows, rhs, 1 if limit.faces is not None else 2)
         return kinds
@@ -221,11 +264,11 @@ class JointStopProblem:
             )
             for kind in limits
         )
-        positive = hstack([csr_array((slacks, count)), -diags_array(np.ones(slacks))])
+        positive = hstack([csr_array((slacks, count)), -eye_array(slacks)])
         A = vstack([zero[0], nonnegative[0], hstack([-coeffs, -one]), positive, cones[0]])
         b = np.concatenate([zero[1], nonnegative[1], room[at, point], np.zeros(slacks), cones[1]])
         quadratic, linear = self._cost(u)
-        q = np.append(linear, np.full(slacks, SLACK_WEIGHT / self.required.max()))
+        q = np.append(linear, np.full(slacks, SLACK_WEIGHT))
         P = diags_array(np.append(quadratic, np.zeros(slacks)))
         inequalities, d = len(nonnegative[1]) + len(at) + slacks, u.shape[2]
         sizes = (d + 1,) * (len(cones[1]) // (d + 1))
@@ -238,14 +281,14 @@ class JointStopProblem:
         return self._fly_blocks(u, unknowns), slack
 
     def _coefficients(self, near: NearPieces, at: Array, point: Array) -> csr_array:
-        """Return the change of the room of control points by the unknowns."""
+        """Return the change of the room of control points, over the distance, by the unknowns."""
         scale = np.array(self.horizon.scale or np.ones(self.horizon.discrete_model.axes))
         found: list[tuple[Array, Array, Array]] = []
         for vehicle, sign in ((near.first[at], 1.0), (near.second[at], -1.0)):
             for a in np.flatnonzero(self.is_free).tolist():
                 rows = np.flatnonzero(vehicle == a)
                 response = self._on_points[a][4 * near.piece[at[rows]] + point[rows]]
-                along = sign * scale * near.normal[at[rows]]
+                along = sign * scale * near.normal[at[rows]] / near.required[at[rows], None]
                 each = (response[:, :, None] * along[:, None]).reshape(
                     len(rows), response.shape[1] * along.shape[1]
                 )
@@ -259,7 +302,7 @@ class JointStopProblem:
         quadratic, linear = [], []
         for vehicle, E, own in zip(self.vehicles, self._blocks, u, strict=True):
             weight = CHANGE_WEIGHT / vehicle.control_limit.most**2
-            quadratic.append(weight * np.repeat(E.sum(axis=0), own.shape[1]))
+            quadratic.append(weight * np.repeat((E**2).sum(axis=0), own.shape[1]))
             linear.append(weight * (E.T @ (own - vehicle.u)).ravel())
         return np.concatenate(quadratic), np.concatenate(linear)
 
@@ -286,38 +329,6 @@ def _make_blocks(steps: int, T: int) -> Float[Array, "T blocks"]:
     k = np.arange(T)[:, None]
     begins, until = np.array([0, *ends[:-1]][: len(ends)], dtype=int), np.array(ends, dtype=int)
     return ((begins <= k) & (k < until)).astype(float)
-
-
-def _room(near: NearPieces, paths: Float[Array, "vehicles pieces 4 d"]) -> Float[Array, "rows 4"]:
-    """Compute by how much control points keep their half-spaces [m]."""
-    own = paths[near.first, near.piece]
-    is_vehicle = (near.second >= 0)[:, None, None]
-    other = np.where(is_vehicle, paths[near.second, near.piece], near.point)
-    along = np.einsum("pd,pid->pi", near.normal, own - other)
-    return np.asarray(along - near.required[:, None])
-
-
-def _worst_per_step(
-    near: NearPieces,
-    room: Float[Array, "rows 4"],
-    most: float,
-    pieces_per_step: int,
-    known: tuple[Array, ...] = (),
-) -> tuple[Array, Array]:
-    """Select the control point with the least room, of each group and step, if below a bound.
-
-    Returns:
-        Rows of the pieces, and control points of these.
-    """
-    least, point = room.min(axis=1), room.argmin(axis=1)
-    order = np.argsort(least, kind="stable")
-    steps = int(near.piece.max(initial=0)) // pieces_per_step + 1
-    key = near.group * steps + near.piece // pieces_per_step
-    rows = order[np.unique(key[order], return_index=True)[1]]
-    rows = rows[least[rows] < most]
-    if known:
-        rows = rows[~np.isin(4 * rows + point[rows], 4 * known[0] + known[1])]
-    return rows, point[rows]
 
 
 def _pad(rows: csr_array, columns: int) -> csr_array:

@@ -5,8 +5,10 @@ import pytest
 from reconfiguration_runs import crowd_in_the_way, make_mission
 
 import sato
-from problems.obstacle_paths import is_path_clear
+from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps
 from sato.reconfiguration import commitment
+from sato.reconfiguration.evasion import EvasionReport, find_evasions
+from sato.reconfiguration.stopping import stopping_horizon
 from sato.shapes.shape import Points
 
 R = 0.5
@@ -74,3 +76,48 @@ def test_vehicles_that_have_arrived_evade_while_others_wait_to_join(rng):
     assert run.summary["min_obstacle_distance_m"] >= R
     assert run.summary["min_separation_m"] >= R
     assert run.summary["reached"]
+
+
+def make_reports(rng, hopeless):
+    """One that a body comes over beside one at rest, and another far away."""
+    places = np.array([[0.0, 0.0], [20.0, 0.0]])
+    mission = make_mission(places, sato.Leg(places, 5), comm_radius=60.0, collision_radius=R)
+    horizon = stopping_horizon(mission, 30)
+    pieces = len(horizon.fine_model)
+    time = (np.arange(pieces)[:, None] + np.arange(4) / 3) * horizon.fine_model.dt
+
+    def bodies(center, velocity):
+        moves = time[..., None] * np.array(velocity)[:, None, None]
+        paths = np.array(center)[:, None, None] + moves
+        clearance = np.full(len(center), R)
+        return ObstaclePaths(paths, np.zeros((len(center), 1, 2)), clearance, np.array(velocity))
+
+    coming = bodies([[-3.0, 0.1 * rng.normal()], [1.1, 0.0]], [[0.2, 0.0], [0.0, 0.0]])
+    if hopeless:  # closed in within a step
+        ring = 20.0 + 0.55 * np.cos(np.arange(12)), 0.55 * np.sin(np.arange(12))
+        shut = bodies(np.column_stack(ring), (np.array([20.0, 0.0]) - np.column_stack(ring)) / 2)
+    else:
+        shut = bodies([[25.0, 0.0]], [[0.0, 0.0]])
+    reports = []
+    for i, (place, known) in enumerate(zip(places, (coming, shut), strict=True)):
+        state, u = np.append(place, [0.0, 0.0]), np.zeros((horizon.steps, 2))
+        path = horizon.control_points(horizon.discrete_model.simulate(state, u), u)
+        reports.append(EvasionReport(i, (0.0, 0.0, i), state, u, path, R, ((3, known),)))
+    return mission, horizon, reports
+
+
+@pytest.mark.parametrize("hopeless", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_one_evades_whatever_becomes_of_another_far_away(seed, hopeless):
+    mission, horizon, reports = make_reports(np.random.default_rng(seed), hopeless)
+    after = find_evasions(mission, horizon, reports)
+    assert is_path_clear(after[0].path, after[0].looks[-1][1])
+    if 1 in after:  # no nearer to anything than it was
+        known = reports[1].looks[-1][1]
+        now, before = (
+            measure_gaps(own.path - known.paths, known)[0].min(axis=1)
+            for own in (after[1], reports[1])
+        )
+        assert (now >= np.minimum(before, R) * (1 - 1e-9)).all()
+    else:
+        assert hopeless or is_path_clear(reports[1].path, reports[1].looks[-1][1])

@@ -17,7 +17,7 @@ from problems import convexify
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.joint_stops import JointStopProblem, StoppingVehicle
-from problems.obstacle_paths import ObstaclePaths, is_path_clear, violation
+from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, violation
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
@@ -28,10 +28,10 @@ from sato.scp.planner import Priority
 ROUNDING = 1e-12  # relative, of distances that are computed twice
 SHARES_OF_ESCAPE = 1.0, 0.5, 0.25  # of the time to get out of the way, that is looked ahead at rest
 AT_REST = 1e-9  # of the clearance: paths that stay so near to their ends are at rest
-UNCHANGED = 1e-6  # of the control limit: who changes by less changes nothing
+UNCHANGED = 1e-6  # of the control limit: a smaller change of the controls is none
 MAX_TRIED = 20  # stops of a search that are flown
-MAX_CHANGES = 12  # that one program after another finds
-PROGRESS, PATIENCE = 0.95, 2  # factor of the slack from program to program; programs without it
+MAX_CHANGES = 10  # that one program after another finds
+PROGRESS, PATIENCE = 0.95, 2  # factor by which slack and lack get less; programs without that
 SMALL = 1e-3  # of the distance: slack that may be left to the next program
 CROWDED = 2.0  # of the distance: others that are nearer are in a crowd
 MAX_CROWD = 60  # agents that change together
@@ -122,8 +122,6 @@ def find_evasions(
 ) -> dict[int, EvasionReport]:
     """Change what agents have committed to where something comes over them.
 
-    Where nothing is found that is clear of all, the change is made that lacks least.
-
     Args:
         mission: Limits of the vehicles.
         horizon: Horizon in which all have come to rest.
@@ -132,43 +130,77 @@ def find_evasions(
     Returns:
         Reports of those that change, as they are then.
     """
-    now = sorted(reports, key=lambda report: report.agent)
-    met = [a for a, own in enumerate(now) if not is_path_clear(own.path, own.looks[-1][1])]
-    if not met:
-        return {}
-    required = _required_distances(now)
-    found, least = dict[int, EvasionReport](), _measure_lack(now, met)
-    for n in range(max(len(now[a].looks) for a in met)):
-        looks = [
-            own.looks[n if a in met and n < len(own.looks) else -1] for a, own in enumerate(now)
-        ]
-        for after in islice(_evade(mission, horizon, now, met, looks, required), MAX_CHANGES):
-            if not _is_allowed(mission, horizon, now, after, met, required):
-                continue
-            is_clear = all(is_path_clear(after[a].path, looks[a][1]) for a in met)
-            lack = _measure_lack(after, met)
-            if is_clear or lack < least:
-                changed = (own for own, was in zip(after, now, strict=True) if own is not was)
-                found, least = {own.agent: own for own in changed}, lack
-            if is_clear:
-                return found
-    return found
+    before = sorted(reports, key=lambda report: report.agent)
+    now = [*before]
+    left = {a for a, own in enumerate(now) if not is_path_clear(own.path, own.looks[0][1])}
+    while left:
+        first = min(left, key=lambda a: now[a].priority)
+        crowd = _find_crowd(now, first)
+        now = _evade(mission, horizon, now, crowd)
+        left -= {first, *np.flatnonzero(crowd).tolist()}
+    return {own.agent: own for own, was in zip(now, before, strict=True) if own is not was}
+
+
+def _find_crowd(now: Sequence[EvasionReport], first: int) -> Bool[Array, " agents"]:
+    """Find those near an agent, those near these, and so on: the nearest, up to a number."""
+    paths, clearance = (np.array([getattr(own, k) for own in now]) for k in ("path", "clearance"))
+    crowd, apart = np.zeros(len(now), dtype=bool), np.full(len(now), np.inf)
+    apart[first] = 0.0
+    while crowd.sum() < min(len(now), MAX_CROWD):
+        a = int(np.where(crowd, np.inf, apart).argmin())
+        if apart[a] > CROWDED:
+            break
+        crowd[a] = True
+        away = np.linalg.norm(paths - paths[a], axis=-1).min(axis=(1, 2))
+        apart = np.minimum(apart, 2 * away / (clearance + clearance[a]))
+    return crowd
 
 
 def _evade(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
+    now: list[EvasionReport],
+    crowd: Bool[Array, " agents"],
+) -> list[EvasionReport]:
+    """Change what a crowd has committed to; where nothing is clear of all, so that it lacks least.
+
+    How long agents look ahead is tried in turn, the longest first.
+    """
+    required, rows, found = _required_distances(now), np.flatnonzero(crowd).tolist(), now
+    for n in range(max(len(now[a].looks) for a in rows)):
+        looks = [own.looks[min(n, len(own.looks) - 1)] for own in now]
+        met = [a for a in rows if not is_path_clear(now[a].path, looks[a][1])]
+        if not met:
+            break
+        found, least = now, sum(violation(now[a].path, looks[a][1]) for a in met)
+        changes = _list_changes(mission, horizon, now, crowd, met, looks, required)
+        for after in islice(changes, MAX_CHANGES):
+            if not _is_allowed(mission, horizon, now, after, looks, required):
+                continue
+            lack = sum(violation(after[a].path, looks[a][1]) for a in rows)
+            if lack == 0.0:
+                return after
+            if lack < PROGRESS * least:
+                found, least = after, lack
+    return found
+
+
+def _list_changes(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
     now: Sequence[EvasionReport],
+    crowd: Bool[Array, " agents"],
     met: Sequence[int],
     looks: Sequence[Look],
     required: Float[Array, "agents agents"],
 ) -> Iterator[list[EvasionReport]]:
-    """List changes, each closer than the one before to one that is clear of all.
+    """List changes of a crowd, each closer than the one before to one that is clear of all.
 
     Args:
         mission: Limits of the vehicles.
         horizon: Horizon in which all have come to rest.
         now: Reports of all.
+        crowd: True for those that change.
         met: Rows of those that something comes over.
         looks: How long each rests, and what it has to avoid.
         required: Distances of two [m].
@@ -177,19 +209,22 @@ def _evade(
     u = before.copy()
     for a in met:
         u[a] = _search_way(mission, horizon, now, a, looks[a], required[a])
-    problem = _make_problem(mission, horizon, now, met, looks, required, u)
+    problem = _make_problem(mission, horizon, now, crowd, looks, required)
     least, stalled = np.inf, 0
     while stalled < PATIENCE:
         paths = problem.fly(u)[1]
         is_changed = (np.abs(u - before) > least_change).any(axis=(1, 2))
         each = zip(now, u, paths, is_changed.tolist(), strict=True)
         yield [replace(own, u=w, path=p) if differs else own for own, w, p, differs in each]
+        if not problem.is_free.any():
+            return
         try:
-            u, slack = problem.improve(u)
+            following, slack = problem.improve(u)
         except Unsolved:
             return
-        stalled = 0 if slack < max(PROGRESS * least, SMALL * required.max()) else stalled + 1
-        least = min(least, slack)
+        is_same = np.abs(following - u).max() < least_change
+        stalled = stalled + 1 if is_same or slack > max(PROGRESS * least, SMALL) else 0
+        u, least = following, min(least, slack)
 
 
 def _search_way(
@@ -202,15 +237,19 @@ def _search_way(
 ) -> Float[Array, "T m"]:
     """Search a way out of an agent, clear of all or else of obstacles; what it had without one."""
     own, (rest_steps, obstacles) = now[row], look
-    if obstacles is None or is_path_clear(own.path, obstacles):
-        return own.u
+    assert obstacles is not None
+    here = np.broadcast_to(own.path[:1, :1], (1, 4, mission.axes)) - obstacles.paths[:, :1, :1]
+    gap = measure_gaps(here, obstacles)[0][:, 0] * (1 - ROUNDING)
+    obstacles = obstacles._replace(clearance=np.minimum(obstacles.clearance, gap))
     others = [a for a in range(len(now)) if a != row]
     paths = np.stack([own.path for own in now])[others]
     for bodies in (obstacles.join_points(paths, required[others]), obstacles):
         found = search_stops(mission, horizon, own.agent, own.state, rest_steps, bodies)
         for u in islice(found, MAX_TRIED):
-            path = horizon.control_points(horizon.discrete_model.simulate(own.state, u), u)
-            if is_path_clear(path, bodies):
+            x = horizon.discrete_model.simulate(own.state, u)
+            path, position = horizon.control_points(x, u), x[:, : mission.axes]
+            is_clear = is_path_clear(path, bodies)
+            if is_clear and stays_within_reach(mission, horizon, position, path):
                 return u
     return own.u
 
@@ -219,43 +258,25 @@ def _make_problem(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
     now: Sequence[EvasionReport],
-    met: Sequence[int],
+    crowd: Bool[Array, " agents"],
     looks: Sequence[Look],
     required: Float[Array, "agents agents"],
-    u: Float[Array, "agents T m"],
 ) -> JointStopProblem:
-    """Make the program of the crowd about those that something comes over."""
-    vehicles = tuple(
-        StoppingVehicle(
-            own.state,
-            own.u,
-            mission.planned_control_limit(own.agent),
-            mission.speed_limit(own.agent),
-            max(horizon.steps - 1 - rest_steps, 1),
-            obstacles,
-        )
-        for own, (rest_steps, obstacles) in zip(now, looks, strict=True)
-    )
-    every = np.ones(len(now), dtype=bool)
-    paths = JointStopProblem(horizon, vehicles, required, every).fly(u)[1]
-    return JointStopProblem(horizon, vehicles, required, _find_crowd(paths, met, required))
+    """Make the program of a crowd, without those that keep no limits, as noise may have it."""
+    vehicles, is_free = [], crowd.copy()
+    for a, (own, (rest_steps, obstacles)) in enumerate(zip(now, looks, strict=True)):
+        steps = max(horizon.steps - 1 - rest_steps, 1)
+        control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
+        vehicles.append(StoppingVehicle(own.state, own.u, control, speed, steps, obstacles))
+        is_free[a] &= _keeps_limits(mission, horizon, own)
+    return JointStopProblem(horizon, tuple(vehicles), required, is_free)
 
 
-def _find_crowd(
-    paths: Float[Array, "agents pieces 4 d"],
-    met: Sequence[int],
-    required: Float[Array, "agents agents"],
-) -> Bool[Array, " agents"]:
-    """Find those near some agents, those near these, and so on, the nearest up to a number."""
-    crowd, apart = np.zeros(len(paths), dtype=bool), np.full(len(paths), np.inf)
-    apart[list(met)] = 0.0
-    while True:
-        a = int(np.where(crowd, np.inf, apart).argmin())
-        if crowd[a] or apart[a] > CROWDED or crowd.sum() >= MAX_CROWD:
-            return crowd
-        crowd[a] = True
-        away = np.linalg.norm(paths - paths[a], axis=-1).min(axis=(1, 2))
-        apart = np.minimum(apart, away / np.maximum(required[a], 1e-300))
+def _keeps_limits(mission: Reconfiguration, horizon: AvoidanceHorizon, own: EvasionReport) -> bool:
+    """Tell whether an agent keeps its limits of control and speed."""
+    v = horizon.discrete_model.simulate(own.state, own.u)[1:, mission.axes :]
+    control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
+    return not (control.is_exceeded(own.u).any() or speed.is_exceeded(v).any())
 
 
 def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents agents"]:
@@ -270,30 +291,29 @@ def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents ag
     return required
 
 
-def _measure_lack(reports: Sequence[EvasionReport], rows: Sequence[int]) -> float:
-    """Add up by how much agents lack the distance from obstacles at most [m]."""
-    return sum(violation(reports[a].path, reports[a].looks[-1][1]) for a in rows)
-
-
 def _is_allowed(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
     now: Sequence[EvasionReport],
     after: Sequence[EvasionReport],
-    met: Sequence[int],
+    looks: Sequence[Look],
     required: Float[Array, "agents agents"],
 ) -> bool:
-    """Tell whether changed agents keep their limits, their reach, and clear of all they were."""
+    """Verify limits and reach of what has changed, and that it is clear of all, or no nearer."""
     changed = [a for a, own in enumerate(after) if own is not now[a]]
     for a in changed:
-        own, d = after[a], mission.axes
-        x = horizon.discrete_model.simulate(own.state, own.u)
-        control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
-        is_beyond = control.is_exceeded(own.u).any() or speed.is_exceeded(x[1:, d:]).any()
-        if is_beyond or not stays_within_reach(mission, horizon, x[:, :d], own.path):
+        own, obstacles = after[a], looks[a][1]
+        position = horizon.discrete_model.simulate(own.state, own.u)[:, : mission.axes]
+        is_within = stays_within_reach(mission, horizon, position, own.path)
+        if not (is_within and _keeps_limits(mission, horizon, own)):
             return False
-        if a not in met and not is_path_clear(own.path, own.looks[-1][1]):
-            return False
+        if obstacles is not None and not is_path_clear(own.path, obstacles):
+            gap, before = (
+                measure_gaps(path - obstacles.paths, obstacles)[0].min(axis=1)
+                for path in (own.path, now[a].path)
+            )
+            if (gap < np.minimum(obstacles.clearance, before) * (1 - ROUNDING)).any():
+                return False
     i, j = np.nonzero(np.triu(np.ones_like(required), 1))
     some = np.isin(i, changed) | np.isin(j, changed)
     i, j = i[some], j[some]

@@ -7,6 +7,7 @@ and lists how it can stop from these.
 
 from collections.abc import Iterator
 from itertools import product
+from math import ceil
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,7 +20,9 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import REST_TOLERANCE, longest_way
 
 MAX_STATES = 500  # that are kept after a step
-CELL = 0.04  # of R: states that are nearer to each other count as one
+CELL = (
+    0.04  # of R: states that are nearer to each other count as one, and are far apart after a move
+)
 
 
 def search_stops(
@@ -32,8 +35,8 @@ def search_stops(
 ) -> Iterator[Float[Array, "T m"]]:
     """List stops of a vehicle, those that rest earliest first.
 
-    They keep its limits, and are clear of all bodies at the beginnings of pieces; whether in
-    between, too, is for the caller to check.
+    They keep its limits, and are clear of all bodies at the beginnings of pieces, from the second
+    on; whether in between, too, is for the caller to check.
 
     Args:
         mission: Limits.
@@ -47,22 +50,26 @@ def search_stops(
     d, h, S = mission.axes, mission.step, horizon.pieces_per_step
     signs = np.array(list(product((0.0, -1.0, 1.0), repeat=d)))
     choices = limit.cut(limit.most * limit.shares * signs)
-    fractions = np.arange(1, S + 1)[:, None] / S * h
-    cell = CELL * mission.least_separation / np.repeat([1.0, h], d)
+    # Controls are held until they make a difference, at short steps and low thrust too.
+    size = CELL * mission.least_separation
+    held = max(1, ceil((2 * size / limit.least_length) ** 0.5 / h))
+    time = np.arange(1, held * S + 1)[:, None] / S * h
+    cell, latest = size / np.repeat([1.0, held * h], d), horizon.steps - 1 - rest_steps
     x, u = start[None], np.zeros((1, 0, d))
-    for k in range(max(horizon.steps - 1 - rest_steps, 1)):
-        yield from _list_stops(horizon, limit, x, u, bodies, horizon.steps - 1 - rest_steps)
+    for k in range(0, max(latest, 1), held):
+        yield from _list_stops(horizon, limit, x, u, bodies, latest)
         before = np.repeat(x, len(choices), axis=0)
         control = np.tile(choices, (len(x), 1))
         p, v = before[:, None, :d], before[:, None, d:]
-        points = p + fractions * v + fractions**2 / 2 * control[:, None]
-        after = np.hstack([points[:, -1], before[:, d:] + h * control])
+        points = p + time * v + time**2 / 2 * control[:, None]
+        after = np.hstack([points[:, -1], before[:, d:] + held * h * control])
         keep = ~speed.is_exceeded(after[:, d:])
         keep &= np.linalg.norm(after[:, :d] - start[:d], axis=1) <= longest_way(mission)
         keep[keep] = _are_clear(horizon.scale_points(points[keep]), bodies, k * S + 1)
         kept = _spread(after[keep], cell)
         x, rows = after[keep][kept], np.flatnonzero(keep)[kept]
-        u = np.concatenate([u[rows // len(choices)], control[rows, None]], axis=1)
+        flown = np.repeat(control[rows, None], held, axis=1)
+        u = np.concatenate([u[rows // len(choices)], flown], axis=1)
         if not len(x):
             return
 
@@ -81,6 +88,8 @@ def _list_stops(
     needed = limit.measure(velocity) / (limit.most * h)
     count = np.ceil(np.where(needed < REST_TOLERANCE, 0.0, needed * (1 - 1e-9))).astype(int)
     rows = np.flatnonzero(k + count <= latest)
+    if not len(rows):
+        return
     time = (np.arange((horizon.steps - k) * S) / S * h)[:, None]
     last = (count[rows] * h)[:, None, None]
     moving = np.minimum(time, last)
