@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dynamics import DoubleIntegrator
+from dynamics import ClohessyWiltshire, DoubleIntegrator
 from dynamics.trajectory_geometry import separations
 from sato.obstacles import Box, Sphere
-from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.leg import Leg, Loss
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.shapes.shape import Points
@@ -62,6 +62,19 @@ def crowd_in_the_way(rng, *, is_box=False, **changes):
     limits = {"max_control": 0.2, "max_speed": 0.6, "collision_radius": 0.5}
     radii = {"comm_radius": 8.0, "sensing_radius": 2.5}
     return make_mission(places, Leg(places, 16), obstacles=(passing,), **(limits | radii | changes))
+
+
+def wreck_in_the_way(rng, **changes):
+    """Four spacecraft with given targets, over which one drifts that is lost on its way."""
+    start = np.array([[-3.0, 0.0, 0.0], [1.5, 2.0, 0.0], [1.5, -2.0, 0.0], [3.0, 2.0, 0.0]])
+    targets = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.7, 0.0, 0.0], [2.4, 0.0, 0.0]])
+    start, targets = start + rng.normal(0, 0.1, (4, 3)), targets + rng.normal(0, 0.05, (4, 3))
+    loss = Loss("agents", agents=(0,), at_step=int(rng.integers(4, 8)), body="coast")
+    later = targets + np.array([0.0, 0.5, 0.0])
+    shapes = (Points(places, keep_order=True) for places in (targets, later))
+    legs = (Leg(shape, 14, losses=own) for shape, own in zip(shapes, ((loss,), ()), strict=True))
+    limits = {"max_control": 0.06, "comm_radius": 20.0, "assignment": "given"}
+    return make_mission(start, *legs, **({"model": ClohessyWiltshire(1e-3)} | limits | changes))
 
 
 def fly(mission, seed=0):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from agents import decide, fly_by_messages
-from reconfiguration_runs import crowd_in_the_way, make_mission, row
+from reconfiguration_runs import crowd_in_the_way, make_mission, row, wreck_in_the_way
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
@@ -155,7 +155,7 @@ def drifting(rng):
 
 
 MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
-OTHERS = [crowded, exchanged, packed, surrounded, crowd_in_the_way, drifting]
+OTHERS = [crowded, exchanged, packed, surrounded, crowd_in_the_way, drifting, wreck_in_the_way]
 
 
 @pytest.mark.parametrize("draw", [*MISSIONS, *OTHERS])

@@ -183,8 +183,9 @@ class Decision(NamedTuple):
         decision = self._replace(plans=plans, events=(*self.events, *events))
         if not self.context.mission.is_point_mass:
             own = self.context, plans, self.committed, self.heard_clock
-            offers = make_orbital_offers(*own)
-            return decision._replace(previous=self.plans.get(self.number))._enter(Holding(offers))
+            offers, detours = make_orbital_offers(*own)
+            holding = Holding(offers, detours.get(0))
+            return decision._replace(previous=self.plans.get(self.number))._enter(holding)
         return decision._begin_choice(make_offers(self.context, plans, self.committed))
 
     def _begin_choice(self, offers: Offers) -> "Decision":
@@ -219,12 +220,15 @@ class Decision(NamedTuple):
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
         choice, plan, i = choosing.choice, self.plans[self.number], self.number
         committed = {i: stopping.Commitment(self.context.instant, choosing.offers.u[0, choice])}
-        if choice < choosing.offers.last or self.is_unclear:
+        is_kept = choice == choosing.offers.last
+        if choice == 0 or (is_kept and self.is_unclear):
             return self._replace(committed=committed, is_finished=True)
-        kept = {i: keep_previous(plan, self.previous)}
+        is_left, flown = True, commitment.leave(self.context, plan)
+        if is_kept:
+            is_left, flown = commitment.leaves_plan(plan), keep_previous(plan, self.previous)
         cautious = {"kind": "cautious", "agents": [i]}
-        events = (*self.events, cautious) if commitment.leaves_plan(plan) else self.events
-        return self._replace(committed=committed, plans=kept, events=events, is_finished=True)
+        events = (*self.events, cautious) if is_left else self.events
+        return self._replace(committed=committed, plans={i: flown}, events=events, is_finished=True)
 
     def _begin_evasion(self, turns: Turns) -> "Decision":
         own = turns.agent, turns.plan.priority, turns.horizon, turns.u, turns.path, turns.clearance

@@ -15,6 +15,7 @@ from sato.reconfiguration import assignment, target_costs
 from sato.reconfiguration.commitment import improve, next_choice
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import give_up_unclear
+from sato.reconfiguration.orbital_evasion import Detours, offer_detour
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext
 from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
@@ -143,6 +144,7 @@ class Holding(NamedTuple):
     """Memory of an agent in orbit that compares what it and its neighbors have committed to."""
 
     offers: Offers  # its own
+    detours: Detours | None = None  # where something comes over both offers
     is_unclear: bool = False  # True where it is not clear of a neighbor's
     is_finished: bool = False
 
@@ -157,10 +159,15 @@ class Holding(NamedTuple):
         return give_up_unclear(self.offers, np.array([self.is_unclear]))
 
     def update(self, inbox: Sequence[HoldingMessage]) -> "Holding":
-        """Compare; all do so in the same round."""
-        own = self.message
+        """Compare, and choose a detour that is clear of all; all do so in the same round."""
+        own, offers = self.message, self.offers
         is_unclear = not all(keeps_clear(own.path, own.clearance, other) for other in inbox)
-        return self._replace(is_unclear=is_unclear, is_finished=True)
+        if self.detours is not None:
+            others = np.array([extend(other.path, len(own.path)) for other in inbox])
+            others = others.reshape(-1, *own.path.shape)
+            clearance = (np.array([other.clearance for other in inbox]) + own.clearance) / 2
+            offers = offer_detour(offers, 0, self.detours, others, clearance)
+        return self._replace(offers=offers, is_unclear=is_unclear, is_finished=True)
 
 
 class OfferMessage(NamedTuple):

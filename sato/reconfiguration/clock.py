@@ -48,11 +48,12 @@ def announce_clock(
 def wait(
     context: DecisionContext, heard: Int[Array, " agents"], has_plan: Bool[Array, " agents"]
 ) -> Int[Array, " agents"]:
-    """Return the clocks, set back for vehicles that wait, where plans are kept.
+    """Return the clocks, set back for vehicles that wait.
 
-    Those that have arrived take the one for which they wait, so that they can make room for others
-    and return. Those that have found no way to their targets do not lose the time until
-    they look again.
+    Where plans are kept, those that have arrived take the one for which they wait, so that they can
+    make room for others and return. Those that have found no way to their targets do not lose the
+    time until they look again. In orbit, where targets move on, all take the one for which they
+    wait, so that they arrive together.
 
     Args:
         context: Clocks.
@@ -60,10 +61,12 @@ def wait(
         has_plan: True for vehicles with a plan that leads to their targets.
     """
     clock, mission, steps = context.memory.clock, context.mission, context.leg.steps
-    if not mission.has_own_clocks:
+    later = np.minimum(heard, clock)
+    if mission.has_own_clocks:
+        later = np.where(clock == steps, later, clock)
+        later = np.where(has_plan, later, np.maximum(clock - mission.assignment_steps, 0))
+    elif mission.is_point_mass:
         return clock
-    later = np.where(clock == steps, np.minimum(heard, clock), clock)
-    later = np.where(has_plan, later, np.maximum(clock - mission.assignment_steps, 0))
     return np.where(context.graph.alive, later, clock)
 
 

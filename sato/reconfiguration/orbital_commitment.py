@@ -2,8 +2,8 @@
 
 Each agent offers its plan, and what it has committed to: both to the last arrival of all that hear
 each other, and two orbits of free motion after that, if targets keep their distance so long. An
-agent that has not committed to anything drifts. Agents agree on offers as those that can stop do
-(`commitment`).
+agent that has not committed to anything drifts. Where something comes over both, it offers to evade
+instead (`orbital_evasion`). Agents agree on offers as those that can stop do (`commitment`).
 
 What an agent has committed to may come too close to another's, of an agent that was out of hearing
 then, or by disturbances. Such an agent has nothing safe to keep, and commits to its plan. A mission
@@ -17,19 +17,27 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import control_points
-from problems.convexify import AvoidanceHorizon
 from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
     are_clear,
     choose_offers,
+    leave,
     leaves_plan,
     list_pairs,
     rank_of,
 )
 from sato.reconfiguration.free_motion import free_motion, simulate
 from sato.reconfiguration.offers import Offers
+from sato.reconfiguration.orbital_evasion import (
+    Detours,
+    DetoursByRow,
+    Flights,
+    list_detours,
+    make_room,
+    offer_detour,
+)
 from sato.reconfiguration.passive_safety import offer_drifts
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
@@ -41,7 +49,7 @@ from sato.scenario.errors import InputError
 
 def make_orbital_offers(
     context: DecisionContext, plans: Plans, committed: Commitments, heard_clock: int
-) -> Offers:
+) -> tuple[Offers, DetoursByRow]:
     """Offer the plans of agents of one component, and what they have committed to.
 
     Args:
@@ -69,68 +77,62 @@ def make_orbital_offers(
             end[a, 0] = context.leg.targets[plan.target_index]
     begun = context.step_index if mission.assignment == "given" else clock
     arrival = context.instant + context.leg.steps - begun
-    count, h = free_motion(mission, context.leg, arrival)
-    rest = np.zeros((*u.shape[:2], count, mission.axes))
-    free = simulate(mission, end, rest, context.time + steps * mission.step, h)
-    d = mission.axes
-    pieces = horizon.control_points(x, u), control_points(free[..., :d], free[..., d:], h)
-    paths = np.concatenate(pieces, axis=2)
-    return Offers(
+    flights = Flights(horizon, context.time, *free_motion(mission, context.leg, arrival))
+    offers = Offers(
         agents=agents,
         plan_steps=(steps, 0),
         steps=np.full(len(agents), steps),
         horizon=horizon,
         u=u,
-        paths=paths,
-        is_allowed=_avoid_obstacles(context, horizon, agents, paths, (count, h)),
+        paths=flights.follow(mission, x, u, end),
+        is_allowed=np.ones((len(agents), 2), dtype=bool),
         clearance=mission.own_clearances(horizon.clearance, agents),
         drifts=offer_drifts(context, steps, x, u),
     )
+    if not mission.has_surroundings:
+        return offers, {}
+    return _avoid_obstacles(context, flights, offers)
 
 
 def _avoid_obstacles(
-    context: DecisionContext,
-    horizon: AvoidanceHorizon,
-    agents: Int[Array, " agents"],
-    paths: Float[Array, "agents 2 pieces 4 d"],
-    free: tuple[int, float],
-) -> Bool[Array, "agents 2"]:
-    """Allow the plans that are clear of all that an agent knows for longer than what it flies."""
-    mission, around = context.mission, context.surroundings
-    allowed = np.ones((len(agents), 2), dtype=bool)
-    if around is None:
-        return allowed
-    flown = drift_on(context, around, horizon, free)
-    for row, i in enumerate(agents.tolist()):
-        known = around.known_to(mission, i, flown, horizon.clearance)
-        if known is not None:
-            each = paths[row, :, : known.paths.shape[1]]
-            clear = [np.asarray(are_pieces_clear(path, known).all(axis=0)) for path in each]
-            first = [len(own) if own.all() else int(own.argmin()) for own in clear]
-            allowed[row, 0] = first[0] >= first[1]
-    return allowed
+    context: DecisionContext, flights: Flights, offers: Offers
+) -> tuple[Offers, DetoursByRow]:
+    """Allow the plans that are clear of all that an agent knows for longer than what it flies.
+
+    Where neither is clear, list detours. What drifts from these is not compared with others, so
+    there are none where agents are to be passively safe.
+    """
+    mission, around, can_evade = context.mission, context.surroundings, offers.drifts is None
+    allowed, detours = offers.is_allowed.copy(), dict[int, Detours]()
+    everything = around and drift_on(context, around, flights)
+    for row, i in enumerate(offers.agents.tolist()):
+        known = around and around.known_to(mission, i, everything, flights.horizon.clearance)
+        if known is None:
+            continue
+        ahead = known.paths.shape[1]
+        each = offers.paths[row, :, :ahead]
+        clear = [np.asarray(are_pieces_clear(path, known).all(axis=0)) for path in each]
+        first = [ahead if own.all() else int(own.argmin()) for own in clear]
+        allowed[row, 0], best = first[0] >= first[1], int(first[1] > first[0])
+        if can_evade and first[best] < ahead:
+            flown = offers.u[row, best], offers.paths[row, best]
+            detours[row] = list_detours(mission, i, flights, context.state[i], *flown, known)
+    offers = offers._replace(is_allowed=allowed)
+    return (make_room(offers) if can_evade else offers), detours
 
 
 def drift_on(
-    context: DecisionContext,
-    around: Surroundings,
-    horizon: AvoidanceHorizon,
-    free: tuple[int, float],
+    context: DecisionContext, around: Surroundings, flights: Flights
 ) -> ObstaclePaths | None:
     """Return the motion of all that does not decide over a horizon, and a while after it.
 
     What comes near later than it takes to get out of its way is for later decisions.
-
-    Args:
-        context: Time.
-        around: Surroundings.
-        horizon: Horizon.
-        free: Number of pieces after it, and their length [s].
     """
+    horizon, count, h = flights.horizon, flights.pieces, flights.duration
     flown, mission, d = around.fly(context.mission, horizon), context.mission, context.mission.axes
     if flown is None:
         return None
-    (count, h), T = free, horizon.steps
+    T = horizon.steps
     escape = count_escape_steps(mission, 0.0) * mission.step
     count = min(count, ceil(escape / h))
     later = np.repeat(flown.paths[:, -1:, -1:], 4, axis=2)
@@ -162,13 +164,13 @@ def arrive_among(
     mission, around, d = context.mission, context.surroundings, context.mission.axes
     assert around is not None
     horizon = divide_horizon(mission, context.time, steps, context.leg)
-    count, h = free_motion(mission, context.leg, context.instant + steps)
-    flown = drift_on(context, around, horizon, (count, h))
+    free = free_motion(mission, context.leg, context.instant + steps)
+    flown = drift_on(context, around, Flights(horizon, context.time, *free))
     later = flown and flown.after_pieces(len(horizon.fine_model))
     rest = np.zeros((len(context.leg.targets), len(later.paths[0]) if later else 0, d))
     begin = context.time + steps * mission.step
-    x = simulate(mission, context.leg.targets, rest, begin, h)
-    return control_points(x[..., :d], x[..., d:], h), later, horizon.clearance
+    x = simulate(mission, context.leg.targets, rest, begin, free[1])
+    return control_points(x[..., :d], x[..., d:], free[1]), later, horizon.clearance
 
 
 def fly_plans(
@@ -191,7 +193,7 @@ def give_up_unclear(offers: Offers, is_unclear: Bool[Array, " agents"]) -> Offer
     drifts = offers.drifts and offers.drifts.drifts
     parts = [part.copy() for part in (offers.u, offers.paths, *(drifts or ()))]
     for part in parts:
-        part[is_unclear, 1] = part[is_unclear, 0]
+        part[is_unclear, -1] = part[is_unclear, 0]
     u, paths, *own = parts
     if offers.drifts is not None:
         offers = offers._replace(drifts=offers.drifts._replace(drifts=Drifts(*own)))
@@ -221,24 +223,32 @@ def commit_in_orbit(
     done: Commitments = {}
     flown = dict(plans)
     graph = context.graph.relayed if context.mission.is_passively_safe else context.graph
-    kept: list[int] = []
+    kept, evading = list[int](), list[int]()
     heard = -context.graph.component_max(-clocks)
     agents = np.array(list(plans), dtype=int)
     for component in np.unique(context.graph.component[agents]):
         members = agents[context.graph.component[agents] == component].tolist()
-        own = {i: plans[i] for i in members}
-        if len(members) == 1 or are_plans_clear(context, own):
+        own, around = {i: plans[i] for i in members}, context.surroundings
+        is_empty = around is None or not around.is_known[members].any()
+        if is_empty and (len(members) == 1 or are_plans_clear(context, own)):
             done |= {i: Commitment(context.instant, plan.trajectory.u) for i, plan in own.items()}
             continue
-        offers = make_orbital_offers(context, own, committed, int(heard[members[0]]))
+        offers, detours = make_orbital_offers(context, own, committed, int(heard[members[0]]))
+        for row, each in detours.items():
+            near = graph.adjacency[offers.agents[row], offers.agents]
+            clearance = (offers.clearance[row] + offers.clearance[near]) / 2
+            offers = offer_detour(offers, row, each, offers.paths[near, -1], clearance)
         choice, keeps = choose_in_orbit(offers, graph, rank_of(offers, own))
         if context.instant == 0:
             check_start(offers, choice, graph)
         u = offers.u[np.arange(len(members)), choice]
         done |= {i: Commitment(context.instant, u[a]) for a, i in enumerate(members)}
         kept += offers.agents[keeps].tolist()
+        evading += offers.agents[(choice > 0) & ~keeps].tolist()
     flown |= {i: keep_previous(plans[i], previous.get(i)) for i in kept}
-    return done, flown, sorted(i for i in kept if leaves_plan(plans[i]))
+    flown |= {i: leave(context, plans[i]) for i in evading}
+    left = {i for i in kept if leaves_plan(plans[i])}.union(evading)
+    return done, flown, sorted(left)
 
 
 def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
@@ -268,7 +278,7 @@ def choose_in_orbit(
     met = ~are_clear(offers, held, i, j, radius)
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
     choice = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
-    choice[is_unclear] = 0
+    choice[is_unclear & (choice == offers.last)] = 0
     return choice, choice == offers.last
 
 

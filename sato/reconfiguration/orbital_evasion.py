@@ -1,0 +1,179 @@
+"""Evasion in orbit: trajectories past what comes over both a plan and what an agent flies now.
+
+Nothing rests in orbit. An agent that evades adds to its controls those of least energy that move it
+aside where it would come nearest to a body. After that it returns to where it was going, or to a
+motion that drifts no more than that would have, or, where neither can be, moves on.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from dynamics.discretize import discretize_zoh
+from dynamics.trajectory_geometry import control_points, hull_distance
+from problems import convexify
+from problems.convexify import AvoidanceHorizon
+from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear, measure_gaps
+from sato.obstacles import spread_directions
+from sato.reconfiguration.evasion import ROUNDING
+from sato.reconfiguration.free_motion import simulate
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.offers import Offers
+
+DIRECTIONS = {2: 12, 3: 40}  # in which to move aside
+SHARES = 0.1, 0.25, 0.5, 1.0, 1.5, 2.0  # of the distance to keep, by which
+UNMET = 1e-6  # of a displacement: by how much controls of least energy may miss it
+MAX_DETOURS = 40  # for each agent
+
+
+class Flights(NamedTuple):
+    """Trajectories over a horizon, and the free motion after them."""
+
+    horizon: AvoidanceHorizon
+    time: float  # at which they begin [s]
+    pieces: int  # of the free motion
+    duration: float  # of each of these [s]
+
+    def follow(
+        self,
+        mission: Reconfiguration,
+        x: Float[Array, "*k instants n"],
+        u: Float[Array, "*k T m"],
+        end: Float[Array, "*k n"],
+    ) -> Float[Array, "*k pieces 4 d"]:
+        """Return control points of trajectories, and of free motion from their ends."""
+        d, later = mission.axes, self.time + self.horizon.steps * mission.step
+        rest = np.zeros((*end.shape[:-1], self.pieces, d))
+        free = simulate(mission, end, rest, later, self.duration)
+        after = control_points(free[..., :d], free[..., d:], self.duration)
+        return np.concatenate([self.horizon.control_points(x, u), after], axis=-3)
+
+
+class Detours(NamedTuple):
+    """Trajectories of an agent past all that it knows, those of least energy first."""
+
+    u: Float[Array, "detours T m"]
+    paths: Float[Array, "detours pieces 4 d"]
+
+
+DetoursByRow = dict[int, Detours]
+
+
+def list_detours(
+    mission: Reconfiguration,
+    agent: int,
+    flights: Flights,
+    state: Float[Array, " n"],
+    u: Float[Array, "T m"],
+    path: Float[Array, "pieces 4 d"],
+    known: ObstaclePaths,
+) -> Detours:
+    """List trajectories that pass all bodies that an agent knows, within its limits.
+
+    Args:
+        mission: Limits and model.
+        agent: Number of the agent.
+        flights: Horizon, and free motion after it.
+        state: State of the agent.
+        u: Controls that it would change.
+        path: Control points of its trajectory by these, to the end of the free motion.
+        known: Bodies, over as many pieces as the agent looks ahead.
+    """
+    ahead, d = known.paths.shape[1], mission.axes
+    gap = measure_gaps(path[:ahead] - known.paths, known)[0]
+    known = known._replace(clearance=np.minimum(known.clearance, gap[:, 0] * (1 - ROUNDING)))
+    body, piece = np.unravel_index((gap - known.clearance[:, None]).argmin(), gap.shape)
+    each = spread_directions(d, DIRECTIONS[d])
+    aside = float(known.clearance[body]) * np.concatenate([share * each for share in SHARES])
+    changed = u + np.concatenate(list(_move_aside(mission, flights, int(piece), aside)))
+    changed = changed[~mission.planned_control_limit(agent).is_exceeded(changed).any(axis=1)]
+    begin = np.broadcast_to(state, (len(changed), *state.shape))
+    x = simulate(mission, begin, changed, flights.time, mission.step)
+    slow = ~mission.speed_limit(agent).is_exceeded(x[:, 1:, d:]).any(axis=1)
+    x, changed = x[slow], changed[slow]
+    paths = flights.follow(mission, x, changed, x[:, -1])
+    for one in range(len(known.paths)):
+        clear = are_points_clear(paths[:, :ahead, 0], known, one).all(axis=1)
+        changed, paths = changed[clear], paths[clear]
+    order = np.argsort(((changed - u) ** 2).sum(axis=(1, 2)), kind="stable")
+    rows = [a for a in order.tolist() if is_path_clear(paths[a, :ahead], known)][:MAX_DETOURS]
+    return Detours(changed[rows], paths[rows])
+
+
+def _move_aside(
+    mission: Reconfiguration, flights: Flights, piece: int, aside: Float[Array, "ways d"]
+) -> Iterator[Float[Array, "_ T m"]]:
+    """List controls of least energy that displace an agent at a piece, if any do.
+
+    With those that return to where it was going, to the same drift, and that move on, in turn.
+    """
+    horizon, d = flights.horizon, mission.axes
+    T, S, n = horizon.steps, horizon.pieces_per_step, 2 * mission.axes
+    on_state = _respond(horizon)
+    end = on_state[T]
+    later = flights.time + T * mission.step
+    count = max(flights.pieces, piece - T * S + 1, 1)
+    free = discretize_zoh(mission.linear_model, flights.duration, count, later).A
+    if piece < T * S:
+        rows = on_state[min(piece // S + 1, T)][:d]
+    else:
+        rows = np.linalg.multi_dot([*free[piece - T * S :: -1], end])[:d]
+    scale = np.repeat([1.0, flights.duration], d)
+    over = np.linalg.multi_dot([*free[::-1], np.eye(n)]) if count > 1 else free[0]
+    drift = np.linalg.svd((over - np.eye(n))[:d] / scale)[2][:1] * scale
+    for kept in (end, drift @ end, end[:0]):
+        response = np.vstack([rows, kept])
+        wanted = np.pad(aside, ((0, 0), (0, len(kept))))
+        found = wanted @ np.linalg.pinv(response).T
+        missed = np.abs(found @ response.T - wanted).max(axis=1)
+        is_met = missed <= UNMET * np.linalg.norm(aside, axis=1)
+        yield found[is_met].reshape(-1, T, d)
+
+
+def _respond(horizon: AvoidanceHorizon) -> Float[Array, "instants n Tm"]:
+    """Return the displacements of the states at all instants by the controls."""
+    model, (T, n, m) = horizon.discrete_model, horizon.discrete_model.B.shape
+    response = np.zeros((T + 1, n, T * m))
+    for k in range(T):
+        response[k + 1] = model.A[k] @ response[k]
+        response[k + 1, :, k * m : (k + 1) * m] += model.B[k]
+    return response
+
+
+def make_room(offers: Offers) -> Offers:
+    """Return offers with one in between, for a detour; nobody has chosen one yet."""
+    u, paths, allowed = (part[:, [0, 1, 1]] for part in (offers.u, offers.paths, offers.is_allowed))
+    allowed[:, 1] = False
+    steps = (*offers.plan_steps[:1], 0, 0)
+    return offers._replace(plan_steps=steps, u=u, paths=paths, is_allowed=allowed)
+
+
+def offer_detour(
+    offers: Offers,
+    row: int,
+    detours: Detours,
+    others: Float[Array, "others pieces 4 d"],
+    clearance: Float[Array, " others"],
+) -> Offers:
+    """Let an agent offer, in place of its plan, the first detour that is clear of all others.
+
+    Where it is too near to another already, the detour comes no nearer.
+
+    Args:
+        offers: Offers, with room for a detour.
+        row: Row of the agent.
+        detours: Its detours.
+        others: Control points of what those that it hears have committed to.
+        clearance: Distance to keep from each [m].
+    """
+    kept = hull_distance(offers.paths[row, -1] - others)[0].min(axis=1)
+    clearance = np.minimum(clearance, kept * (1 - ROUNDING))
+    u, paths, allowed = offers.u.copy(), offers.paths.copy(), offers.is_allowed.copy()
+    for own, path in zip(detours.u, detours.paths, strict=True):
+        if convexify.are_hulls_separated(path - others, clearance).all():
+            u[row, 1], paths[row, 1], allowed[row, :2] = own, path, (False, True)
+            return offers._replace(u=u, paths=paths, is_allowed=allowed)
+    return offers
