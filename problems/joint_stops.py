@@ -67,9 +67,11 @@ class JointStopProblem:
                     n · (c_i − c_j) ≥ R_ij (1 − s_ij)         (38), (64)
                     n · (c_i − o)   ≥ R_i (1 − s_io),  s ≥ 0
 
-    for all control points c and obstacles o, with normals n about the nominal trajectories. Changes
-    of the controls are constant over each of the first steps, then over longer and longer blocks.
-    Vehicles that keep what they have are fixed; their speeds and controls may be beyond the limits.
+    for control points c near each other and obstacles o, with normals n about the nominal
+    trajectories, added as they are violated; (66) where the nominal is fast. Changes of the controls
+    are constant over each of the first steps, then over longer and longer blocks. Vehicles that keep
+    what they have are fixed; their speeds and controls may be beyond the limits. As all agents have
+    to find the same, they use the same solver.
     """
 
     horizon: AvoidanceHorizon
@@ -90,7 +92,7 @@ class JointStopProblem:
         """Solve the program about nominal controls, with half-spaces added as they are violated.
 
         Returns:
-            Controls, and the sum of the slack s.
+            Controls, and the sum of the slack s of the half-spaces that were added.
 
         Raises:
             Unsolved: The solver failed.
@@ -309,7 +311,7 @@ class JointStopProblem:
     def _fly_blocks(
         self, u: Float[Array, "vehicles T m"], unknowns: Float[Array, " unknowns"]
     ) -> Float[Array, "vehicles T m"]:
-        """Return controls, within their limits, that rest; a last step takes what speed is left."""
+        """Return controls within their limits, and a last one that takes what speed is left."""
         after, d, h = u.copy(), u.shape[2], self.horizon.discrete_model.dt
         for a in np.flatnonzero(self.is_free).tolist():
             vehicle = self.vehicles[a]

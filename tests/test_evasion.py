@@ -1,5 +1,7 @@
 """Evasion: ways out of what moves, alone and together with those in the way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reconfiguration_runs import crowd_in_the_way, make_mission
@@ -37,28 +39,73 @@ def test_crowd_without_evasion_is_hit(monkeypatch):
     assert run.summary["min_obstacle_distance_m"] < 0.9 * R
 
 
-def test_evasions_keep_limits_and_all_others_make_room(monkeypatch):
-    changed, find = [], commitment.find_evasions
+def record_evasions(monkeypatch):
+    """Fly a crowd; return the arguments of each evasion, and what changes."""
+    found, find = [], commitment.find_evasions
 
-    def note(mission, horizon, reports):
-        after, before = find(mission, horizon, reports), {r.agent: r for r in reports}
-        changed.append((mission, before, after))
-        return after
+    def note(*own):
+        found.append((*own, find(*own)))
+        return found[-1][-1]
 
     monkeypatch.setattr(commitment, "find_evasions", note)
-    for seed in range(2):
-        sato.run(crowd_in_the_way(np.random.default_rng(seed)), seed=seed)
-    made_room = 0
-    for mission, before, after in changed:
+    sato.run(crowd_in_the_way(np.random.default_rng(0)), seed=0)
+    monkeypatch.undo()
+    return found
+
+
+def test_evasions_keep_limits_and_all_others_make_room(monkeypatch):
+    made_room, changes = 0, 0
+    for mission, horizon, reports, after in record_evasions(monkeypatch):
+        before = {report.agent: report for report in reports}
         now = before | after
         places = np.array([now[i].path[:, 0] for i in sorted(now)])
         apart = np.linalg.norm(places[:, None] - places, axis=-1)
         assert apart[np.triu_indices(len(now), 1)].min() >= R * (1 - 1e-9)
-        for i, report in after.items():
-            assert not mission.planned_control_limit(i).is_exceeded(report.u).any()
-            assert any(is_path_clear(report.path, obstacles) for _, obstacles in report.looks)
+        for i, own in after.items():
+            check_limits(mission, horizon, own)
+            assert keeps_from_bodies(before[i], own)
             made_room += is_path_clear(before[i].path, before[i].looks[-1][1])
+            changes += 1
     assert made_room
+    assert changes > 5
+
+
+def check_limits(mission, horizon, own):
+    """Check limits, rest and reach of a report; return the largest speed and way."""
+    x = horizon.discrete_model.simulate(own.state, own.u)
+    np.testing.assert_allclose(own.path, horizon.control_points(x, own.u), atol=1e-12)
+    assert not mission.planned_control_limit(own.agent).is_exceeded(own.u).any()
+    assert not mission.speed_limit(own.agent).is_exceeded(x[1:, 2:]).any()
+    np.testing.assert_allclose(x[-1, 2:], 0.0, atol=1e-12)
+    way = np.linalg.norm(x[:, None, :2] - x[:, :2], axis=-1).max()
+    assert way <= (mission.comm_radius - R) / 2 * (1 + 1e-9)
+    return np.abs(x[:, 2:]).max(), way
+
+
+def keeps_from_bodies(before, now):
+    """Tell whether a changed path comes no nearer to a body, in a look, than its own or R."""
+
+    def keeps(known):
+        was, after = (measure_gaps(own.path - known.paths, known)[0] for own in (before, now))
+        return (after >= np.minimum(was.min(), known.clearance[:, None]) * (1 - 1e-9)).all()
+
+    return any(known is None or keeps(known) for _, known in before.looks)
+
+
+def test_evasions_of_one_beyond_its_limits_keep_these_from_then_on(monkeypatch):
+    found = record_evasions(monkeypatch)
+    mission, horizon, reports, after = max(found, key=lambda own: len(own[-1]))
+    moved = 0
+    for i in after:
+        fast, u = reports[i].state.copy(), np.zeros_like(reports[i].u)
+        fast[2:], u[:4, 1] = (0.0, 0.9), -0.9 / 4  # beyond V and U
+        path = horizon.control_points(horizon.discrete_model.simulate(fast, u), u)
+        own = replace(reports[i], state=fast, u=u, path=path)
+        changed = find_evasions(mission, horizon, [*reports[:i], own, *reports[i + 1 :]])
+        for one in changed.values():
+            check_limits(mission, horizon, one)
+        moved += len(changed)
+    assert moved
 
 
 def test_vehicles_that_have_arrived_evade_while_others_wait_to_join(rng):
@@ -78,10 +125,11 @@ def test_vehicles_that_have_arrived_evade_while_others_wait_to_join(rng):
     assert run.summary["reached"]
 
 
-def make_reports(rng, hopeless):
+def make_reports(rng, hopeless=False, **changes):
     """One that a body comes over beside one at rest, and another far away."""
     places = np.array([[0.0, 0.0], [20.0, 0.0]])
-    mission = make_mission(places, sato.Leg(places, 5), comm_radius=60.0, collision_radius=R)
+    limits = {"comm_radius": 60.0, "collision_radius": R} | changes
+    mission = make_mission(places, sato.Leg(places, 5), **limits)
     horizon = stopping_horizon(mission, 30)
     pieces = len(horizon.fine_model)
     time = (np.arange(pieces)[:, None] + np.arange(4) / 3) * horizon.fine_model.dt
@@ -121,3 +169,22 @@ def test_one_evades_whatever_becomes_of_another_far_away(seed, hopeless):
         assert (now >= np.minimum(before, R) * (1 - 1e-9)).all()
     else:
         assert hopeless or is_path_clear(reports[1].path, reports[1].looks[-1][1])
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("norm", ["inf", 2])
+def test_evasions_keep_a_speed_limit_that_binds(seed, norm):
+    own = make_reports(np.random.default_rng(seed), max_speed=0.036, speed_norm=norm)
+    fastest, _ = check_limits(*own[:2], find_evasions(*own)[0])
+    assert fastest > 0.9 * 0.036
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evasions_stay_within_reach(seed):
+    for comm_radius in (1.5, 1.4):  # just enough, and too little
+        changes = {"max_speed": 0.1, "comm_radius": comm_radius}
+        mission, horizon, reports = make_reports(np.random.default_rng(seed), **changes)
+        after = find_evasions(mission, horizon, reports)
+        for own in after.values():
+            check_limits(mission, horizon, own)
+        assert (0 in after) == (comm_radius == 1.5)

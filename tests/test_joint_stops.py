@@ -49,7 +49,7 @@ def make_problem(rng, axes, norms, count, steps, is_free=None, **changes):
 
 @pytest.mark.parametrize("norms", [(1, "inf"), (2, 2), ("inf", 1)])
 @pytest.mark.parametrize("axes", [2, 3])
-def test_cost_is_that_of_the_same_program_in_cvxpy(axes, norms, monkeypatch):
+def test_joint_stops_cost_as_the_same_program_in_cvxpy(axes, norms, monkeypatch):
     monkeypatch.setattr(joint_stops, "MAX_PROGRAMS", 99)  # until all half-spaces are kept
     monkeypatch.setattr(joint_stops, "FAST", 0.0)
     rng, wide = np.random.default_rng(axes), (1.0, 0.8, 1.3)[:axes]

@@ -172,7 +172,7 @@ def _evade(
         met = [a for a in rows if not is_path_clear(now[a].path, looks[a][1])]
         if not met:
             break
-        found, least = now, sum(violation(now[a].path, looks[a][1]) for a in met)
+        found, least = now, sum(violation(now[a].path, looks[a][1]) for a in rows)
         changes = _list_changes(mission, horizon, now, crowd, met, looks, required)
         for after in islice(changes, MAX_CHANGES):
             if not _is_allowed(mission, horizon, now, after, looks, required):
@@ -194,7 +194,7 @@ def _list_changes(
     looks: Sequence[Look],
     required: Float[Array, "agents agents"],
 ) -> Iterator[list[EvasionReport]]:
-    """List changes of a crowd, each closer than the one before to one that is clear of all.
+    """List changes of a crowd: that of a search, and those of programs about one after another.
 
     Args:
         mission: Limits of the vehicles.

@@ -20,9 +20,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import REST_TOLERANCE, longest_way
 
 MAX_STATES = 500  # that are kept after a step
-CELL = (
-    0.04  # of R: states that are nearer to each other count as one, and are far apart after a move
-)
+CELL = 0.04  # of R: states that are nearer to each other count as one
 
 
 def search_stops(
@@ -35,8 +33,8 @@ def search_stops(
 ) -> Iterator[Float[Array, "T m"]]:
     """List stops of a vehicle, those that rest earliest first.
 
-    They keep its limits, and are clear of all bodies at the beginnings of pieces, from the second
-    on; whether in between, too, is for the caller to check.
+    They keep its limits, and are clear of all bodies at the beginnings of pieces; whether in between,
+    too, is for the caller to check.
 
     Args:
         mission: Limits.
@@ -66,7 +64,7 @@ def search_stops(
         keep = ~speed.is_exceeded(after[:, d:])
         keep &= np.linalg.norm(after[:, :d] - start[:d], axis=1) <= longest_way(mission)
         keep[keep] = _are_clear(horizon.scale_points(points[keep]), bodies, k * S + 1)
-        kept = _spread(after[keep], cell)
+        kept = _thin_out(after[keep], cell)
         x, rows = after[keep][kept], np.flatnonzero(keep)[kept]
         flown = np.repeat(control[rows, None], held, axis=1)
         u = np.concatenate([u[rows // len(choices)], flown], axis=1)
@@ -115,7 +113,7 @@ def _are_clear(
     return clear
 
 
-def _spread(x: Float[Array, "states n"], cell: Float[Array, " n"]) -> Array:
+def _thin_out(x: Float[Array, "states n"], cell: Float[Array, " n"]) -> Array:
     """Choose states that lie apart, evenly in the order of their cells."""
     _, rows = np.unique(np.round(x / cell).astype(np.int64), axis=0, return_index=True)
     if len(rows) <= MAX_STATES:
