@@ -68,10 +68,10 @@ class JointStopProblem:
                     n · (c_i − o)   ≥ R_i (1 − s_io),  s ≥ 0
 
     for control points c near each other and obstacles o, with normals n about the nominal
-    trajectories, added as they are violated; (66) where the nominal is fast. Changes of the controls
-    are constant over each of the first steps, then over longer and longer blocks. Vehicles that keep
-    what they have are fixed; their speeds and controls may be beyond the limits. As all agents have
-    to find the same, they use the same solver.
+    trajectories, added as they are violated; (66) where the nominal is fast. Changes of the
+    controls are constant over each of the first steps, then over longer and longer blocks. Vehicles
+    that keep what they have are fixed; their speeds and controls may be beyond the limits. As all
+    agents have to find the same, they use the same solver.
     """
 
     horizon: AvoidanceHorizon

@@ -33,8 +33,8 @@ def search_stops(
 ) -> Iterator[Float[Array, "T m"]]:
     """List stops of a vehicle, those that rest earliest first.
 
-    They keep its limits, and are clear of all bodies at the beginnings of pieces; whether in between,
-    too, is for the caller to check.
+    They keep its limits, and are clear of all bodies at the beginnings of pieces; whether in
+    between, too, is for the caller to check.
 
     Args:
         mission: Limits.
