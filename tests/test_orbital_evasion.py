@@ -42,6 +42,11 @@ def test_spacecraft_evade_what_drifts_over_their_targets(seed):
     assert judged["wreck_ratio"] < 1.01  # it comes by
 
 
+def test_spacecraft_with_little_thrust_find_no_detours_and_fly_on():
+    mission = wreck_in_the_way(np.random.default_rng(2), max_control=0.045)
+    assert sato.run(mission, seed=0).summary["min_separation_m"] > 0
+
+
 def test_spacecraft_without_detours_are_hit(monkeypatch):
     monkeypatch.setattr(orbital_commitment, "offer_detour", lambda offers, *_: offers)
     run = sato.run(wreck_in_the_way(np.random.default_rng(0)), seed=0)
