@@ -1,7 +1,6 @@
 """Auction costs: least fuel or energy of every agent for every target [Morgan2016, Problem 6]."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from math import isfinite
 from typing import NamedTuple
 
@@ -39,10 +38,10 @@ def compute_transfer_costs(
     Energy has a closed form without limits. A pair that breaks one keeps it as a lower bound,
     and is not exact; which of these are out of reach the program of the least fuel tells.
 
-    Fuel: with fuel norm 1 and control norm inf all pairs are solved together and without the speed
-    limit, see `minimum_fuel`. A pair whose cheapest path breaks the limit keeps that fuel, which
-    is a lower bound, and is not exact; `solve_transfer` solves it with the limit. With other
-    norms every pair is solved by CVXPY, which takes about ten milliseconds.
+    Fuel: with fuel norm 1 all pairs are solved together, without the speed limit and with the
+    control norm inf, see `minimum_fuel`. A pair whose cheapest path breaks a limit keeps that fuel,
+    which is a lower bound, and is not exact; `solve_transfer` solves it with the limits. With other
+    fuel norms every pair is solved by itself, which takes about ten milliseconds.
 
     Args:
         transfer: The remaining steps, limits and norms, the same for all agents.
@@ -57,19 +56,18 @@ def compute_transfer_costs(
     unreachable = unreachable_cost(steps, transfer.control_limit.most)
     if transfer.objective == "energy":
         return _compute_energy_costs(transfer, start, targets)
-    if (transfer.fuel_norm, transfer.control_norm) != (1, "inf"):
+    if not transfer.has_signed_controls:
         fuel, reachable = np.full(shape, unreachable), np.zeros(shape, dtype=bool)
         for i, j in np.ndindex(*shape):
-            with suppress(Unsolved):  # at the very edge of reach a solver may certify neither
-                own = solvers[i] if solvers else solve_program
-                fuel[i, j] = transfer.solve(start[i], targets[j], own).fuel
-                reachable[i, j] = True
+            own = solvers[i] if solvers else solve_program
+            if found := solve_transfer(transfer, start[i], targets[j], own):
+                fuel[i, j], reachable[i, j] = found.fuel, True
         return TransferCosts(fuel, reachable, np.ones(shape, dtype=bool))
     b = compute_displacements(steps, start, targets).reshape(-1, start.shape[1])
     weight = tie_break_weights(len(steps), TIE_BREAK_RISE)
     # One batch an agent: its costs must not depend on the states of others in the last bit.
-    found = solve_minimum_fuel(steps, b, transfer.max_control, weight, batches=len(start))
-    fuel, u = found.fuel.reshape(shape), found.u.reshape(*shape, len(steps), steps.axes)
+    solved = solve_minimum_fuel(steps, b, transfer.max_control, weight, batches=len(start))
+    fuel, u = solved.fuel.reshape(shape), solved.u.reshape(*shape, len(steps), steps.axes)
     reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
     if isfinite(transfer.speed_limit.most):
         exact, count = ~reachable, max(1, MAX_COORDINATES * len(u) // max(1, u.size))
@@ -77,6 +75,8 @@ def compute_transfer_costs(
             few = slice(first, first + count)
             x0 = np.broadcast_to(start[few, None], (*u[few].shape[:2], start.shape[1]))
             exact[few] |= ~transfer.is_too_fast(steps.simulate(x0, u[few])).any(axis=2)
+    if transfer.control_norm != "inf":
+        exact &= ~(reachable & transfer.control_limit.is_exceeded(u).any(axis=2))
     return TransferCosts(np.where(reachable, fuel, unreachable), reachable, exact)
 
 

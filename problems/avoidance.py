@@ -18,6 +18,7 @@ from scipy.sparse import csc_array, diags_array
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces, empty_half_spaces
+from problems.limit import Limit
 from problems.solvers.verified import solve_program
 from problems.transfer import (
     Solver,
@@ -130,13 +131,11 @@ class AvoidanceProblem:
     def _solve_conic(self, relaxation: Relaxation) -> AvoidanceResult:
         if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
             return AvoidanceResult(free, 0.0, 0.0)
-        if not self.transfer.is_condensable:
-            return self.solve_cvxpy(relaxation)
         (found,) = solve_condensed([self], lambda own: self.assemble_conic(relaxation, own[0]))
         return self._make_result(found)
 
     def solve_cvxpy(self, relaxation: Relaxation = "none") -> AvoidanceResult:
-        """Solve the same problem in CVXPY, for any norms and as a second opinion."""
+        """Solve the same problem in CVXPY, as a second opinion."""
         import cvxpy as cp
 
         _, u, cost, constraints = self.state_cvxpy(relaxation)
@@ -197,25 +196,32 @@ class AvoidanceProblem:
     def extract_trajectory(self, unknowns: Float[Array, " unknowns"]) -> Trajectory:
         """Simulate the controls of a solution of the program of `assemble_conic`."""
         T, _, m = self.transfer.model.B.shape
-        U, parts = self.transfer.control_limit.most, unknowns[: self.unknown_controls]
-        parts = parts.reshape(-1, T, m)
+        limit, parts = self.transfer.control_limit, unknowns[: self.unknown_controls]
+        U, parts = limit.most, parts.reshape(-1, T, m)
         size = parts[0] if len(parts) == 1 else parts[0] - parts[1]
-        u = np.asarray(np.clip(U * size, -U, U)) * self.transfer.control_limit.shares
-        return self.transfer.simulate(self.start, u)
+        u = np.asarray(np.clip(U * size, -U, U)) * limit.shares
+        return self.transfer.simulate(self.start, u if limit.norm == "inf" else limit.cut(u))
 
     @property
     def unknown_controls(self) -> int:
-        """Number of the first unknowns: u for least energy, u⁺ and u⁻ for least fuel."""
-        signs = 1 if self.transfer.objective == "energy" else 2
+        """Number of the first unknowns: u⁺ and u⁻ for least fuel with q = 1, u for all else."""
+        signs = 2 if self.transfer.has_signed_controls else 1
         return signs * len(self.transfer.model) * self.transfer.model.axes
+
+    @property
+    def own_unknowns(self) -> int:
+        """Number of unknowns for the controls, and for their norms where the fuel has q ≠ 1."""
+        has_norms = self.transfer.objective == "fuel" and not self.transfer.has_signed_controls
+        return self.unknown_controls + has_norms * len(self.transfer.model)
 
     def assemble_conic(
         self, relaxation: Relaxation, limited: Int[Array, " instants"]
     ) -> ConicProgram:
         """Assemble the program with the states eliminated and speed limits at some instants.
 
-        Unknowns are u⁺ and u⁻, or u for least energy, in units of each axis's limit, then both
-        signs of the terminal error in meters, then the slack of the half-spaces.
+        Unknowns are u⁺ and u⁻, or u, in units of each axis's limit, and for least fuel with q ≠ 1
+        all ‖u[k]‖_q; then both signs of the terminal error in meters, and the slack of the
+        half-spaces.
         """
         transfer, (R, factor) = self.transfer, self.transfer.response_matrices
         T, n, m = transfer.model.B.shape
@@ -226,36 +232,66 @@ class AvoidanceProblem:
         rows = len(rhs)
         errors = 0 if relaxation in KEEPS_TERMINAL_STATE else n
         slacks = int(relaxation in RELAXES_HALF_SPACES)
+        norms = self.own_unknowns - count
+        others = norms + 2 * errors + slacks
 
-        weights = np.repeat(transfer.weights, m) * shares
-        P, cost = None, np.tile(U * transfer.model.dt * weights, 2)
+        fuel = U * transfer.model.dt * transfer.weights
+        P, cost = None, np.tile(np.repeat(fuel, m) * shares, 2) if count > N else np.zeros(N)
         if transfer.objective == "energy":
-            curvature = np.zeros(N + 2 * errors + slacks)
+            curvature = np.zeros(N + others)
             curvature[:N] = 2 * transfer.model.dt * U**2 * shares**2
-            P, cost = csc_array(diags_array(curvature)), np.zeros(N)
+            P = csc_array(diags_array(curvature))
         penalty = np.repeat([self._penalty, self._slack_penalty], [2 * errors, slacks])
         whitening, scale = np.linalg.inv(factor), 1 / U
         reach = U * whitening @ R[T]
         unit = (whitening / self._terminal_error_weights)[:, :errors]
-        terminal = np.hstack([*(s * reach for s in signs), unit, -unit, np.zeros((n, slacks))])
-        on_controls = [-s * U * coeffs for s in signs]
-        separation = np.hstack(
-            [*on_controls, np.zeros((rows, 2 * errors)), -np.ones((rows, slacks))]
-        )
-        speed, speed_rhs = transfer.speed_limit.constrain(U * R[limited, m:], free[limited, m:])
-        others = np.zeros((len(speed), 2 * errors + slacks))
-        speed = np.hstack([*(-s * speed for s in signs), others])
-        cones = len(speed) if transfer.speed_limit.faces is None else 0
-        linear = len(speed) - cones  # rows are cones at the end, or the last inequalities
+        zeros = np.zeros((n, norms)), np.zeros((n, slacks))
+        terminal = np.hstack([*(s * reach for s in signs), zeros[0], unit, -unit, zeros[1]])
+        on_others = np.zeros((rows, others))
+        on_others[:, others - slacks :] = -1.0
+        separation = np.hstack([*(-s * U * coeffs for s in signs), on_others])
+        (linear, linear_rhs), (cones, cones_rhs) = self._limit_rows(free, limited, others)
 
-        above = np.vstack([scale * terminal, separation, speed[:linear]])
-        A = _stack_with_bounds(above, count, speed[linear:])
+        A = _stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
         bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
-        bounds[count : 2 * count] = P is not None  # −1 ≤ u, and 0 ≤ u⁺, u⁻
+        bounds[count : 2 * count] = len(signs) == 1  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
-        b = np.concatenate([terminal_rhs, rhs, speed_rhs[:linear], bounds, speed_rhs[linear:]])
-        q, nonnegative = np.concatenate([cost, penalty]), rows + linear + len(bounds)
-        return ConicProgram(q, A, b, n, nonnegative, (m + 1,) * (cones // (m + 1)), P=P)
+        b = np.concatenate([terminal_rhs, rhs, linear_rhs, bounds, cones_rhs])
+        q = np.concatenate([cost, fuel[:norms], penalty])
+        sizes = n, rows + len(linear) + len(bounds), (m + 1,) * (len(cones) // (m + 1))
+        return ConicProgram(q, A, b, *sizes, P=P)
+
+    def _limit_rows(
+        self, free: Float[Array, "instants n"], limited: Int[Array, " limited"], others: int
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Return rows and right-hand sides of limits and norms: inequalities, then cones.
+
+        Limits of the norm ∞ on controls are the bounds of the unknowns.
+        """
+        transfer, R = self.transfer, self.transfer.response_matrices[0]
+        (T, _, m), limit = transfer.model.B.shape, transfer.control_limit
+        controls = limit.shares[:, None] * np.eye(T * m).reshape(T, m, T * m)
+        still, norm = np.zeros((T, m)), Limit(1.0, transfer.fuel_norm, m)
+        each = [(transfer.speed_limit, limit.most * R[limited, m:], free[limited, m:])]
+        if limit.norm != "inf":
+            share = limit.shares if np.ndim(limit.bound) else 1.0
+            each.append((Limit(share, limit.norm, m), controls, still))
+        if self.own_unknowns > self.unknown_controls:
+            each.append((norm, controls, still))
+        found: tuple[list[Any], list[Any]] = ([], [])
+        for bound, response, drift in each:
+            rows, rhs = bound.constrain(response, drift)
+            on_others = np.zeros((len(rows), others))
+            if bound is norm:  # at most another unknown
+                step = np.arange(len(rows)) // (len(rows) // T)
+                on_others[np.arange(len(rows)), step] = -rhs
+                rhs = np.zeros_like(rhs)
+            signed = (-rows, rows)[: 1 + transfer.has_signed_controls]
+            found[bound.faces is None].append((np.hstack([*signed, on_others]), rhs))
+        none = np.zeros((0, self.unknown_controls + others)), np.zeros(0)
+        (linear, linear_rhs), (cones, cones_rhs) = (zip(none, *kind, strict=True) for kind in found)
+        inequalities = np.concatenate(linear), np.concatenate(linear_rhs)
+        return inequalities, (np.concatenate(cones), np.concatenate(cones_rhs))
 
 
 def solve_condensed(
@@ -269,7 +305,7 @@ def solve_condensed(
             first unknowns are those of the first problem.
     """
     limited = [np.zeros(0, dtype=int) for _ in problems]
-    sizes, unit = [own.unknown_controls for own in problems], cost_unit(problems)
+    sizes, unit = [own.own_unknowns for own in problems], cost_unit(problems)
     while True:
         program = assemble(limited)
         if program.P is not None:

@@ -110,8 +110,6 @@ class PairProblem:
         )
 
     def _solve(self) -> tuple[Trajectory, Trajectory]:
-        if not all(member.transfer.is_condensable for member in self._members):
-            return self.solve_cvxpy()
         first, second = solve_condensed(self._members, self._assemble_joint)
         return first, second
 
@@ -120,7 +118,7 @@ class PairProblem:
         return self.first, self.second
 
     def solve_cvxpy(self) -> tuple[Trajectory, Trajectory]:
-        """Solve the same problem in CVXPY, for any norms and as a second opinion."""
+        """Solve the same problem in CVXPY, as a second opinion."""
         import cvxpy as cp
 
         (x, u, cost, constraints), (y, v, other_cost, others) = (
@@ -155,7 +153,8 @@ class PairProblem:
             coeffs, own_rhs = rows.condense(transfer, transfer.coast(member.start))
             signs = (-1, 1)[: member.unknown_controls // coeffs.shape[1]]
             U = transfer.control_limit.most
-            blocks.append(U * np.hstack([s * coeffs for s in signs]))
+            norms = np.zeros((len(coeffs), member.own_unknowns - member.unknown_controls))
+            blocks.append(np.hstack([*(s * U * coeffs for s in signs), norms]))
             rhs += own_rhs
         shared = np.hstack(blocks)
         most = np.abs(shared).sum(axis=1) / len(signs)

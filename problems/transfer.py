@@ -133,9 +133,9 @@ class TransferProblem:
         return float(speed.max(initial=0.0)) / self.speed_limit.most - 1
 
     @property
-    def is_condensable(self) -> bool:
-        """True where a program with the states eliminated serves; CVXPY states all others."""
-        return self.control_norm == "inf" and (self.objective == "energy" or self.fuel_norm == 1)
+    def has_signed_controls(self) -> bool:
+        """True where programs have u⁺ and u⁻ as unknowns: for least fuel with q = 1."""
+        return self.objective == "fuel" and self.fuel_norm == 1
 
     def cost(self, trajectory: Trajectory) -> float:
         """Return the fuel [m/s] or the energy [m²/s³] of a trajectory, without the weights."""

@@ -53,8 +53,24 @@ def test_costs_in_other_norms_are_those_of_the_statement(rng):
     transfer = TransferProblem(plane, 0.05, 0.5, 2, 2)
     costs = compute_transfer_costs(transfer, start, targets)
     assert costs.is_exact.all() and costs.is_reachable.tolist() == [[True, False]] * 2
-    assert costs.cost[1, 0] == transfer.solve(start[1], targets[0]).fuel
+    stated = transfer.solve(start[1], targets[0]).fuel  # in CVXPY, with the states
+    assert costs.cost[1, 0] == pytest.approx(stated, rel=1e-7)
     assert (costs.cost[:, 1] == unreachable_cost(plane, 0.05)).all()
+
+
+@pytest.mark.parametrize("r", [1, 2])
+def test_costs_with_other_limits_of_the_control_are_lower_bounds(rng, r):
+    start, targets = random_states(rng, plane, 0.3, 4, 5)
+    transfer = TransferProblem(plane, 0.03, 0.5, 1, r)
+    costs, exact = compute_transfer_costs(transfer, start, targets), 0
+    for i, j in np.argwhere(costs.is_reachable):
+        found = solve_transfer(transfer, start[i], targets[j])
+        if costs.is_exact[i, j]:
+            assert costs.cost[i, j] == pytest.approx(found.fuel, rel=1e-6)
+            exact += 1
+        elif found is not None:
+            assert costs.cost[i, j] <= found.fuel * (1 + 1e-7)
+    assert 0 < exact < costs.is_exact.size
 
 
 @all_models

@@ -139,16 +139,24 @@ def test_fuel_does_not_fall_as_half_spaces_tighten():
     assert fuel[-1] > 1.2 * fuel[0]
 
 
-def test_other_norms_are_solved_in_cvxpy():
-    for q, r in ((2, 2), ("inf", 1)):
-        transfer = TransferProblem(plane, 0.4, 0.6, q, r)
-        x, u, fuel = AvoidanceProblem(transfer, start, goal, detour()).solve().trajectory
-        assert detour().violation(x, u).max() < 1e-7
-        assert_allclose(x[-1], goal, atol=1e-7)
-        size = {1: np.abs(u).sum(1), 2: np.linalg.norm(u, axis=1), "inf": np.abs(u).max(1)}
-        assert size[r].max() <= 0.4 * (1 + 1e-7)
-        assert fuel == pytest.approx(size[q].sum())
-        assert fuel > transfer.solve(start, goal).fuel * (1 + 1e-6)
+@pytest.mark.parametrize("gives", ["none", "separation"])
+@pytest.mark.parametrize("objective", ["fuel", "energy"])
+@pytest.mark.parametrize("most", [0.4, np.array([0.4, 0.5])])
+@pytest.mark.parametrize("r", [1, 2, "inf"])
+@pytest.mark.parametrize("q", [1, 2, "inf"])
+def test_programs_of_all_norms_agree_with_cvxpy(q, r, most, objective, gives):
+    transfer = TransferProblem(plane, most, 0.6, q, r, objective=objective)
+    avoid = AvoidanceProblem(transfer, start, goal, detour())
+    (x, u, fuel), *_ = found = avoid.solve_conic(gives)
+    stated = avoid.solve_cvxpy(gives)
+    assert detour().violation(x, u).max() < 1e-6
+    assert_allclose(x[-1], goal, atol=1e-6)
+    size = {1: np.abs(u).sum(1), 2: np.linalg.norm(u, axis=1), "inf": np.abs(u).max(1)}
+    assert (transfer.control_limit.measure(u) <= np.max(most) * (1 + 1e-7)).all()
+    assert fuel == pytest.approx(size[q].sum())
+    cost = transfer.cost(found.trajectory)
+    assert cost == pytest.approx(transfer.cost(stated.trajectory), rel=1e-6)
+    assert cost > transfer.cost(transfer.solve(start, goal)) * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("solve", ["solve", "solve_cvxpy"])

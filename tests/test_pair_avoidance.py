@@ -114,10 +114,11 @@ def test_a_joint_solution_costs_no_more_than_one_by_priority(rng):
     assert min(saved) >= -1e-7 and max(saved) > 1e-3
 
 
-@pytest.mark.parametrize("norms", [(2, 2), ("inf", 1)])
-def test_other_norms_are_solved_in_cvxpy(rng, norms):
+@pytest.mark.parametrize("norms", [(2, 2), ("inf", 1), (1, 2)])
+def test_programs_of_other_norms_agree_with_cvxpy(rng, norms):
     _, pair, _ = crossing(rng, fuel_norm=norms[0], control_norm=norms[1])
-    found = pair.solve()
+    found, stated = pair.solve(), pair.solve_cvxpy()
+    assert sum(own.fuel for own in found) == pytest.approx(sum(own.fuel for own in stated))
     assert pair.relative_half_spaces.violation(*found).max() <= 1e-6
     assert found[0].x[-1] == pytest.approx(pair.first.goal, abs=1e-6)
 
