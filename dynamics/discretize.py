@@ -46,6 +46,19 @@ class DiscreteModel:
         """Take the steps of one of many agents."""
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
+    def respond(self, shares: Array | float = 1.0) -> Float[Array, "instants n Tm"]:
+        """Return the matrices that take all controls, step by step, to changes of the states.
+
+        Args:
+            shares: Units of the controls, of each axis.
+        """
+        T, n, m = self.B.shape
+        R = np.zeros((T + 1, n, T * m))
+        for k in range(T):
+            R[k + 1] = self.A[k] @ R[k]
+            R[k + 1, :, k * m : (k + 1) * m] += self.B[k] * shares
+        return R
+
     def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
         """Return the states from x on, of one agent or of many with the same matrices.
 

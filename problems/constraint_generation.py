@@ -59,8 +59,7 @@ def try_generating(transfer: TransferProblem, solver: Solver, *rest: Any) -> Tra
 
 def can_generate(transfer: TransferProblem, solver: VerifiedSolver) -> bool:
     """Return True where constraint generation serves: norms are linear, and no solver is chosen."""
-    is_linear = transfer.has_signed_controls and transfer.control_norm == "inf"
-    return is_linear and solver.is_default
+    return transfer.is_linear and solver.is_default
 
 
 def generate_constraints(

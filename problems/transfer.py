@@ -96,14 +96,10 @@ class TransferProblem:
         the limit, and L⁻¹ R[T] has orthonormal rows; L is the identity where the steps are too
         few to reach every state.
         """
-        T, n, m = self.model.B.shape
-        R = np.zeros((T + 1, n, T * m))
-        for k in range(T):
-            R[k + 1] = self.model.A[k] @ R[k]
-            R[k + 1, :, k * m : (k + 1) * m] += self.model.B[k] * self.control_limit.shares
-        if np.linalg.matrix_rank(R[T]) < n:
+        R, n = self.model.respond(self.control_limit.shares), self.model.A.shape[1]
+        if np.linalg.matrix_rank(R[-1]) < n:
             return R, np.eye(n)
-        return R, np.linalg.qr(R[T].T)[1].T
+        return R, np.linalg.qr(R[-1].T)[1].T
 
     def coast(self, start: Float[Array, "*many n"]) -> Float[Array, "*many instants n"]:
         """Compute the states without control, Φ[k] x₀ + ζ[k]."""
@@ -131,6 +127,11 @@ class TransferProblem:
         """Compute the largest speed between the ends, over its limit, minus 1."""
         speed = self.speed_limit.measure(trajectory.x[1:-1, self.model.axes :])
         return float(speed.max(initial=0.0)) / self.speed_limit.most - 1
+
+    @property
+    def is_linear(self) -> bool:
+        """True where fuel and limits of the controls are linear: q = 1 and r = ∞."""
+        return self.has_signed_controls and self.control_norm == "inf"
 
     @property
     def has_signed_controls(self) -> bool:

@@ -86,5 +86,6 @@ def fly_by_messages(mission, seed=0):
             moves = alive | np.isin(np.arange(len(x)), watch.adrift)
             x, n = np.where(moves[:, None], flown[1], x), n + 1
             clocks = [int(agent.memory.memory.clock[i]) + 1 for i, agent in agents.items()]
-            if min(clocks) >= leg.steps:
+            plans = [agent.memory.plans[i] for i, agent in agents.items()]
+            if min(clocks) >= leg.steps and all(own.target_index is not None for own in plans):
                 break

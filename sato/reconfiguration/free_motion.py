@@ -33,12 +33,28 @@ def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, 
     period = mission.orbital_period
     h = mission.step if period is None else period / PIECES_PER_ORBIT
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
-    rest, t = np.zeros((len(leg.targets), count, mission.axes)), arrival * mission.step
-    x, d = simulate(mission, leg.targets, rest, t, h), mission.axes
-    paths, (i, j) = control_points(x[..., :d], x[..., d:], h), np.triu_indices(len(x), 1)
+    paths = drift_freely(mission, leg.targets, count, arrival * mission.step, h)
+    i, j = np.triu_indices(len(paths), 1)
     radius = np.full(len(i), mission.largest_separation + mission.margin)
     clear = convexify.are_pairs_separated(paths, i, j, radius).all(axis=0)
     return count if clear.all() else int(clear.argmin()), h
+
+
+def drift_freely(
+    mission: Reconfiguration, x: Float[Array, "*agents n"], count: int, t: float, h: float
+) -> Float[Array, "*agents pieces 4 d"]:
+    """Return the control points of free motion from states on, by the model that agents plan by.
+
+    Args:
+        mission: Its model.
+        x: States at the first instant.
+        count: Number of pieces.
+        t: Time of the first instant [s].
+        h: Duration of a piece [s].
+    """
+    d = mission.axes
+    states = simulate(mission, x, np.zeros((*x.shape[:-1], count, d)), t, h)
+    return np.asarray(control_points(states[..., :d], states[..., d:], h))
 
 
 def simulate(

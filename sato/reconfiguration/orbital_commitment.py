@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.trajectory_geometry import control_points
 from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
@@ -28,7 +27,7 @@ from sato.reconfiguration.commitment import (
     list_pairs,
     rank_of,
 )
-from sato.reconfiguration.free_motion import free_motion, simulate
+from sato.reconfiguration.free_motion import drift_freely, free_motion, simulate
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_evasion import (
     Detours,
@@ -142,9 +141,7 @@ def drift_on(
     if lost.any():
         rest = np.zeros((int(lost.sum()), T, d))
         end = simulate(mission, around.state[lost], rest, context.time, mission.step)[:, -1]
-        rest = np.zeros((int(lost.sum()), count, d))
-        x = simulate(mission, end, rest, context.time + T * mission.step, h)
-        after[lost] = control_points(x[..., :d], x[..., d:], h)
+        after[lost] = drift_freely(mission, end, count, context.time + T * mission.step, h)
     return flown._replace(paths=np.concatenate([flown.paths, after], axis=1))
 
 
@@ -161,16 +158,15 @@ def arrive_among(
         Control points of the targets; the motion of all others, without clearances; and the
         clearance that any two vehicles keep [m].
     """
-    mission, around, d = context.mission, context.surroundings, context.mission.axes
+    mission, around = context.mission, context.surroundings
     assert around is not None
     horizon = divide_horizon(mission, context.time, steps, context.leg)
     free = free_motion(mission, context.leg, context.instant + steps)
     flown = drift_on(context, around, Flights(horizon, context.time, *free))
     later = flown and flown.after_pieces(len(horizon.fine_model))
-    rest = np.zeros((len(context.leg.targets), len(later.paths[0]) if later else 0, d))
-    begin = context.time + steps * mission.step
-    x = simulate(mission, context.leg.targets, rest, begin, free[1])
-    return control_points(x[..., :d], x[..., d:], free[1]), later, horizon.clearance
+    count, begin = len(later.paths[0]) if later else 0, context.time + steps * mission.step
+    paths = drift_freely(mission, context.leg.targets, count, begin, free[1])
+    return paths, later, horizon.clearance
 
 
 def fly_plans(

@@ -13,13 +13,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
-from dynamics.trajectory_geometry import control_points, hull_distance
+from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear, measure_gaps
 from sato.obstacles import spread_directions
 from sato.reconfiguration.evasion import ROUNDING
-from sato.reconfiguration.free_motion import simulate
+from sato.reconfiguration.free_motion import drift_freely, simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers
 
@@ -45,10 +45,8 @@ class Flights(NamedTuple):
         end: Float[Array, "*k n"],
     ) -> Float[Array, "*k pieces 4 d"]:
         """Return control points of trajectories, and of free motion from their ends."""
-        d, later = mission.axes, self.time + self.horizon.steps * mission.step
-        rest = np.zeros((*end.shape[:-1], self.pieces, d))
-        free = simulate(mission, end, rest, later, self.duration)
-        after = control_points(free[..., :d], free[..., d:], self.duration)
+        later = self.time + self.horizon.steps * mission.step
+        after = drift_freely(mission, end, self.pieces, later, self.duration)
         return np.concatenate([self.horizon.control_points(x, u), after], axis=-3)
 
 
@@ -116,10 +114,9 @@ def _move_aside(
     """
     horizon, d = flights.horizon, mission.axes
     T, S, n = horizon.steps, horizon.pieces_per_step, 2 * mission.axes
-    on_state = _respond(horizon)
-    end = on_state[T]
-    later = flights.time + T * mission.step
-    count = max(flights.pieces, piece - T * S + 1, 1)
+    on_state = horizon.discrete_model.respond()
+    end, later = on_state[T], flights.time + T * mission.step
+    count = max(flights.pieces, 1)
     free = discretize_zoh(mission.linear_model, flights.duration, count, later).A
     if piece < T * S:
         rows = on_state[min(piece // S + 1, T)][:d]
@@ -135,16 +132,6 @@ def _move_aside(
         missed = np.abs(found @ response.T - wanted).max(axis=1)
         is_met = missed <= UNMET * np.linalg.norm(aside, axis=1)
         yield found[is_met].reshape(-1, T, d)
-
-
-def _respond(horizon: AvoidanceHorizon) -> Float[Array, "instants n Tm"]:
-    """Return the displacements of the states at all instants by the controls."""
-    model, (T, n, m) = horizon.discrete_model, horizon.discrete_model.B.shape
-    response = np.zeros((T + 1, n, T * m))
-    for k in range(T):
-        response[k + 1] = model.A[k] @ response[k]
-        response[k + 1, :, k * m : (k + 1) * m] += model.B[k]
-    return response
 
 
 def make_room(offers: Offers) -> Offers:

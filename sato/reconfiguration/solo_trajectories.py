@@ -105,7 +105,7 @@ def solve_solo_transfers(
     model, solvers = transfer.model, solvers or [solve_program] * len(start)
     if len(model) == 0:
         return [transfer.simulate(x, np.zeros((0, model.axes))) for x in start], 0
-    if transfer.control_norm != "inf" or not transfer.has_signed_controls:
+    if not transfer.is_linear:
         each = zip(start, targets, solvers, strict=True)
         return [solve_transfer(transfer, *own) for own in each], len(start)
     b = targets - model.simulate(start, np.zeros((len(start), len(model), model.axes)))[:, -1]
