@@ -111,7 +111,8 @@ class AvoidanceHorizon:
             np.einsum("ksidm,...km->...ksid", Q, U),
         )
         points = on_x + on_u + r
-        return np.asarray(points).reshape(*points.shape[:-4], -1, 4, self.discrete_model.axes)
+        pieces = len(self.fine_model)
+        return np.asarray(points).reshape(*points.shape[:-4], pieces, 4, self.discrete_model.axes)
 
 
 def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:

@@ -15,7 +15,14 @@ from dynamics.j2 import J2
 from dynamics.orbit import Orbit
 from sato.reconfiguration import orbital_commitment
 from sato.reconfiguration.offers import Offers
-from sato.reconfiguration.orbital_evasion import Detours, make_room, offer_detour
+from sato.reconfiguration.orbital_evasion import (
+    Detours,
+    Flights,
+    _move_aside,
+    make_room,
+    offer_detour,
+)
+from sato.reconfiguration.planning import divide_horizon
 
 R = 0.5
 ORBIT = Orbit.from_elements(6878e3, 0.02, np.pi / 4)
@@ -42,9 +49,11 @@ def test_spacecraft_evade_what_drifts_over_their_targets(seed):
     assert judged["wreck_ratio"] < 1.01  # it comes by
 
 
-def test_spacecraft_with_little_thrust_find_no_detours_and_fly_on():
-    mission = wreck_in_the_way(np.random.default_rng(2), max_control=0.045)
-    assert sato.run(mission, seed=0).summary["min_separation_m"] > 0
+def test_spacecraft_with_little_thrust_find_no_detours_and_fly_on(monkeypatch):
+    found = record_detours(monkeypatch)
+    run = sato.run(wreck_in_the_way(np.random.default_rng(2), max_control=0.045), seed=0)
+    assert any(len(detours.u) == 0 for *_, detours in found)
+    assert run.summary["reached"]
 
 
 def test_spacecraft_without_detours_are_hit(monkeypatch):
@@ -78,6 +87,29 @@ def test_detours_keep_limits_and_pass_all_that_is_known(model, monkeypatch):
             np.testing.assert_allclose(x[:, :3], ends, rtol=0, atol=1e-4)
             assert (np.linalg.norm(x[:, 3:], axis=1) <= mission.max_speed * (1 + 1e-6)).all()
         assert min(map(least, detours.paths), default=R) >= R
+
+
+@pytest.mark.parametrize("when", [4, 9, 25])  # on the way, at the end of 10 steps, and after it
+def test_ways_aside_return_or_drift_no_more_or_move_on(when):
+    changes = {"step": 60.0, "allow_undetectable": True}
+    mission = wreck_in_the_way(np.random.default_rng(0), **changes)
+    flights = Flights(divide_horizon(mission, 0.0, 10), 0.0, 100, mission.orbital_period / 50)
+    model, first = flights.horizon.discrete_model, 10 * flights.horizon.pieces_per_step
+    begin, end = when * first // 10, (when + 1) * first // 10 - 1
+    piece, last = (begin, end) if when < 10 else 2 * [first + when - 10]
+    aside = np.random.default_rng(1).normal(size=(5, 3))
+    each = list(_move_aside(mission, flights, piece, aside))
+    assert [len(ways) for ways in each] == [5 if when != 9 and when < 10 else 0, 5, 5]
+    for kind, u in enumerate(each):
+        x = model.simulate(np.zeros((len(u), 6)), u)
+        path = flights.follow(mission, x, u, x[:, -1])
+        np.testing.assert_allclose(path[:, last, -1], aside[: len(u)], rtol=0, atol=1e-6)
+        away = np.linalg.norm(path[:, -1, -1] - path[:, first, 0], axis=1)  # in two orbits
+        assert kind == 2 or (away < 1e-3).all()
+        assert kind < 2 or (away > 1.0).any()
+        assert kind or (np.abs(x[:, -1]) < 1e-6).all()
+    energy = [(u**2).sum(axis=(1, 2)) for u in each[1:]]
+    assert (energy[1] <= energy[0] * (1 + 1e-9)).all()
 
 
 def line_to(end, pieces=3):

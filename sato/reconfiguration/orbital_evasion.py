@@ -82,9 +82,8 @@ def list_detours(
     """
     ahead, d = known.paths.shape[1], mission.axes
     gap = measure_gaps(path[:ahead] - known.paths, known)[0]
-    none = Detours(np.zeros((0, *u.shape)), np.zeros((0, *path.shape)))
     if (gap[:, 0] < known.clearance).any():  # too near already: it leaves by what it flies
-        return none
+        return Detours(np.zeros((0, *u.shape)), np.zeros((0, *path.shape)))
     body, piece = np.unravel_index((gap - known.clearance[:, None]).argmin(), gap.shape)
     each = spread_directions(d, DIRECTIONS[d])
     aside = float(known.clearance[body]) * np.concatenate([share * each for share in SHARES])
@@ -94,8 +93,6 @@ def list_detours(
     x = simulate(mission, begin, changed, flights.time, mission.step)
     slow = ~mission.speed_limit(agent).is_exceeded(x[:, 1:, d:]).any(axis=1)
     x, changed = x[slow], changed[slow]
-    if not len(changed):
-        return none
     paths = flights.follow(mission, x, changed, x[:, -1])
     for one in range(len(known.paths)):
         clear = are_points_clear(paths[:, :ahead, 0], known, one).all(axis=1)
