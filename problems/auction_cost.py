@@ -10,13 +10,14 @@ from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
 from problems.avoidance import AvoidanceProblem
+from problems.bang_off_bang import Burns, is_double_integrator, solve_burns
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, compute_energy, tie_break_weights
 
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
-MAX_COORDINATES = 500_000  # of controls that are simulated at once
+MAX_COORDINATES = 500_000  # of controls of all pairs that are computed at once
 
 
 class TransferCosts(NamedTuple):
@@ -63,21 +64,67 @@ def compute_transfer_costs(
             if found := solve_transfer(transfer, start[i], targets[j], own):
                 fuel[i, j], reachable[i, j] = found.fuel, True
         return TransferCosts(fuel, reachable, np.ones(shape, dtype=bool))
-    b = compute_displacements(steps, start, targets).reshape(-1, start.shape[1])
-    weight = tie_break_weights(len(steps), TIE_BREAK_RISE)
-    # One batch an agent: its costs must not depend on the states of others in the last bit.
-    solved = solve_minimum_fuel(steps, b, transfer.max_control, weight, batches=len(start))
-    fuel, u = solved.fuel.reshape(shape), solved.u.reshape(*shape, len(steps), steps.axes)
-    reachable, exact = np.isfinite(fuel), np.ones(shape, dtype=bool)
+    cost, (reachable, exact) = np.empty(shape), np.empty((2, *shape), dtype=bool)
+    count = max(1, MAX_COORDINATES // max(1, len(targets) * len(steps) * steps.axes))
+    free = _coast(steps, start)
+    for first in range(0, len(start), count):
+        few = slice(first, first + count)
+        own = start[few], targets, targets - free[few, None]
+        cost[few], reachable[few], exact[few] = _compute_fuel(transfer, *own)
+    cost[~reachable] = unreachable
+    return TransferCosts(cost, reachable, exact)
+
+
+def _compute_fuel(
+    transfer: TransferProblem,
+    start: Float[Array, "agents n"],
+    targets: Float[Array, "targets n"],
+    b: Float[Array, "agents targets n"],
+) -> tuple[Array, Array, Array]:
+    """Return the fuel of every displacement, and where it is reachable, and where it is exact."""
+    steps, d, U = transfer.model, transfer.model.axes, transfer.max_control
+    burns = solve_burns(b[..., :d], b[..., d:], steps, U) if is_double_integrator(steps) else None
+    if burns and burns.is_certified.all():
+        fuel = steps.dt * (burns.length * U).sum(axis=2)
+        reachable = burns.is_reachable.all(axis=2)
+        is_kept, is_known = _check_limits(transfer, start, targets, burns)
+        exact, (i, j) = is_kept | ~reachable, np.nonzero(reachable & ~is_known)
+        u = np.swapaxes(Burns(*(each[i, j] for each in burns)).controls(len(steps)), 1, 2) * U
+    else:
+        # One batch an agent: its costs must not depend on the states of others in the last bit.
+        weight, rows = tie_break_weights(len(steps), TIE_BREAK_RISE), b.reshape(-1, b.shape[2])
+        found = solve_minimum_fuel(steps, rows, U, weight, batches=len(start))
+        fuel = found.fuel.reshape(b.shape[:2])
+        reachable = np.isfinite(fuel)
+        exact, (i, j) = ~reachable, np.nonzero(reachable)
+        u = found.u[reachable.ravel()]
+    exact[i, j] = ~transfer.control_limit.is_exceeded(u).any(axis=1)
     if isfinite(transfer.speed_limit.most):
-        exact, count = ~reachable, max(1, MAX_COORDINATES * len(u) // max(1, u.size))
-        for first in range(0, len(start), count):
-            few = slice(first, first + count)
-            x0 = np.broadcast_to(start[few, None], (*u[few].shape[:2], start.shape[1]))
-            exact[few] |= ~transfer.is_too_fast(steps.simulate(x0, u[few])).any(axis=2)
-    if transfer.control_norm != "inf":
-        exact &= ~(reachable & transfer.control_limit.is_exceeded(u).any(axis=2))
-    return TransferCosts(np.where(reachable, fuel, unreachable), reachable, exact)
+        exact[i, j] &= ~transfer.is_too_fast(steps.simulate(start[i], u)).any(axis=1)
+    return fuel, reachable, exact
+
+
+def _check_limits(
+    transfer: TransferProblem,
+    start: Float[Array, "agents n"],
+    targets: Float[Array, "targets n"],
+    burns: Burns,
+) -> tuple[Bool[Array, "agents targets"], Bool[Array, "agents targets"]]:
+    """Return True where burns keep the limits of speed and control, and where that is known.
+
+    On each axis no speed is above those before, between and after the burns. The speed between
+    is flown where the burns of all axes leave an instant.
+    """
+    steps, d, limit = transfer.model, transfer.model.axes, transfer.speed_limit
+    if transfer.control_norm != "inf" or steps.z.any():
+        none = np.zeros(burns.first.shape[:2], dtype=bool)
+        return none, none
+    between = start[:, None, d:] + steps.dt * transfer.max_control * burns.first
+    ends = np.maximum(np.abs(start[:, None, d:]), np.abs(targets[:, d:]))
+    is_kept = ~limit.is_exceeded(np.maximum(ends, np.abs(between)))
+    first, last = (np.ceil(np.abs(burn).max(axis=2)) for burn in (burns.first, burns.last))
+    is_flown = np.maximum(first, 1) <= len(steps) - np.maximum(last, 1)
+    return is_kept, is_kept | (is_flown & limit.is_exceeded(between))
 
 
 def _compute_energy_costs(
@@ -128,8 +175,12 @@ def compute_displacements(
     steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets n"]:
     """Compute target minus terminal state of the free motion, for every pair."""
-    free = steps.simulate(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
-    return np.asarray(targets[None] - free[:, None])
+    return np.asarray(targets - _coast(steps, start)[:, None])
+
+
+def _coast(steps: DiscreteModel, start: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
+    """Return the last states of the free motion."""
+    return steps.simulate(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
 
 
 def compute_distances(

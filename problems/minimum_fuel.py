@@ -1,4 +1,4 @@
-"""Least ℓ₁ fuel of one system for very many displacements.
+"""Least ℓ₁ fuel of one linear system for very many displacements.
 
     minimize  Σ_j w_j |u_j|   subject to  C u = b,  |u_j| ≤ U
 
@@ -28,6 +28,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
+from problems.bang_off_bang import is_concave, is_double_integrator, solve_burns
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
 from problems.limit import Bound, Limit
@@ -40,11 +41,10 @@ CERTIFICATE_TOLERANCE = 1e-9  # relative, of residuals and gap
 
 
 class MinimumFuelSolutions(NamedTuple):
-    """Solutions of many programs, each with its dual bound."""
+    """Solutions of many programs."""
 
     u: Float[Array, "programs T m"]  # [m/s²]; NaN where unreachable
     fuel: Float[Array, " programs"]  # Δt Σ |u| [m/s]; infinite where unreachable
-    dual_bound: Float[Array, " programs"]  # Δt × dual value, a lower bound of the weighted fuel
 
 
 def solve_minimum_fuel(
@@ -56,9 +56,10 @@ def solve_minimum_fuel(
 ) -> MinimumFuelSolutions:
     """Solve many transfers of least fuel without a speed limit.
 
-    Axes that do not act on one another are solved separately. Every solution is verified by its
-    residual and its gap, and every infeasibility by its certificate; HiGHS solves the programs
-    where this fails.
+    Those of a double integrator, with weights that are concave in time, have a closed form, see
+    `bang_off_bang`. Of other models, axes that do not act on one another are solved separately.
+    Every solution is verified by its residual and its gap, and every infeasibility by its
+    certificate; HiGHS solves the programs where this fails.
 
     Args:
         steps: Dynamics, the same for all.
@@ -72,21 +73,40 @@ def solve_minimum_fuel(
         ValueError: There is no step, or a displacement, weight or limit is not valid.
         Unsolved: The solution of HiGHS fails verification too.
     """
-    T, m = len(steps), steps.axes
+    (T, _, m), count = steps.B.shape, len(displacement)
     _validate(T, displacement, max_control, weight)
-    count = len(displacement)
-    u, fuel, bound = np.zeros((count, T, m)), np.zeros(count), np.zeros(count)
+    if not (is_double_integrator(steps) and is_concave(weight)):
+        u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
+    else:
+        burns = solve_burns(*np.split(displacement, 2, axis=1), steps, max_control)
+        u = np.swapaxes(burns.controls(T), 1, 2) * max_control
+        is_reachable, rest = burns.is_reachable.all(axis=1), ~burns.is_certified.all(axis=1)
+        if rest.any():
+            own = displacement[rest], max_control, weight, count
+            u[rest], is_reachable[rest] = _solve_by_simplex(steps, *own)
+    u[~is_reachable] = np.nan
+    fuel = np.where(is_reachable, steps.dt * np.abs(u).sum(axis=(1, 2)), np.inf)
+    return MinimumFuelSolutions(u, fuel)
+
+
+def _solve_by_simplex(
+    steps: DiscreteModel,
+    displacement: Float[Array, "programs n"],
+    max_control: Bound,
+    weight: Float[Array, " T"],
+    batches: int,
+) -> tuple[Float[Array, "programs T m"], Bool[Array, " programs"]]:
+    """Return the controls, and True for what they reach."""
+    u = np.zeros((len(displacement), len(steps), steps.axes))
+    is_reachable = np.ones(len(displacement), dtype=bool)
     for states, inputs in decouple_axes(steps):
         C = reachability_matrix(steps)[states][:, :, inputs]
-        each = np.broadcast_to(max_control, m)[inputs]
+        each = np.broadcast_to(max_control, steps.axes)[inputs]
         limit = Limit(each if len(each) else np.max(max_control), "inf", len(inputs))
-        found, dual = _solve_decoupled(C, displacement[:, states], limit, weight, batches)
-        u[:, :, inputs] = found
-        fuel += steps.dt * np.abs(found).sum(axis=(1, 2))
-        bound += steps.dt * dual
-    unreachable = np.isinf(bound)
-    u[unreachable], fuel[unreachable] = np.nan, np.inf
-    return MinimumFuelSolutions(u, fuel, bound)
+        own = C, displacement[:, states], limit, weight, batches
+        u[:, :, inputs], can_reach = _solve_decoupled(*own)
+        is_reachable &= can_reach
+    return u, is_reachable
 
 
 def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) -> None:
@@ -129,28 +149,28 @@ def _solve_decoupled(
     limit: Limit,
     weight: Float[Array, " T"],
     batches: int,
-) -> tuple[Float[Array, "programs T i"], Float[Array, " programs"]]:
+) -> tuple[Float[Array, "programs T i"], Bool[Array, " programs"]]:
     # In units of its axis's limit every control is at most 1, and weighs as much as it is.
     (s, T, i), U = C.shape, limit.most
     orthonormal = OrthonormalRows.from_matrix((C * limit.shares).reshape(s, T * i))
     Q, (transformed, unreachable) = orthonormal.rows, orthonormal.transform(b, U)
-    u, dual = np.zeros((len(b), T * i)), np.zeros(len(b))
-    w = np.outer(weight, limit.shares).ravel()
+    u, w = np.zeros((len(b), T * i)), np.outer(weight, limit.shares).ravel()
+    is_reachable = np.ones(len(b), dtype=bool)
     if len(Q) > 0:
-        x, is_certified, bound = _solve_parallel(Q, w, transformed / U, batches)
-        u, dual = U * x, U * bound
+        x, is_certified, is_infeasible = _solve_parallel(Q, w, transformed / U, batches)
+        u, is_reachable = U * x, ~is_infeasible
         for q in np.flatnonzero(~is_certified):
-            u[q], dual[q] = _solve_with_highs(Q, transformed[q], U, w)
-    u[unreachable], dual[unreachable] = np.nan, np.inf
-    return u.reshape(len(b), T, i) * limit.shares, dual
+            u[q], is_reachable[q] = _solve_with_highs(Q, transformed[q], U, w)
+    is_reachable[unreachable] = False
+    return u.reshape(len(b), T, i) * limit.shares, is_reachable
 
 
 def _solve_parallel(
     Q: Float[Array, "m N"], w: Float[Array, " N"], b: Float[Array, "programs m"], batches: int
-) -> tuple[Float[Array, "programs N"], Bool[Array, " programs"], Float[Array, " programs"]]:
-    """Return the solutions, True where they are certified, and the bounds of the cost."""
+) -> tuple[Float[Array, "programs N"], Bool[Array, " programs"], Bool[Array, " programs"]]:
+    """Return the solutions, True where they are certified, and where they are infeasible."""
     x, λ, status = np.zeros((len(b), len(w))), np.zeros(b.shape), np.zeros(len(b), np.int64)
-    is_certified, bound = np.zeros(len(b), dtype=bool), np.zeros(len(b))
+    is_certified, is_infeasible = np.zeros((2, len(b)), dtype=bool)
     batches = max(1, min(len(b), batches))
     starts = np.arange(batches + 1) * len(b) // batches
     threads = os.cpu_count() or 1
@@ -162,14 +182,14 @@ def _solve_parallel(
         for first, last in pairwise(own):  # few enough to stay in the cache of a core
             few = slice(first, last)
             parts = b[few], x[few], λ[few], status[few]
-            is_certified[few], bound[few] = _certify(Q, w, *parts)
+            is_certified[few], is_infeasible[few] = _certify(Q, w, *parts)
 
     if tasks == 1:
         solve_some(0)
     else:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(solve_some, range(tasks)))
-    return x, is_certified, bound
+    return x, is_certified, is_infeasible
 
 
 def _certify(
@@ -179,7 +199,7 @@ def _certify(
     x: Float[Array, "programs N"],
     λ: Float[Array, "programs m"],
     status: Int[Array, " programs"],
-) -> tuple[Bool[Array, " programs"], Float[Array, " programs"]]:
+) -> tuple[Bool[Array, " programs"], Bool[Array, " programs"]]:
     # For any λ the bound is at most the optimum; where it is positive with w = 0, no x exists.
     along, value, v = λ * b, (λ * b).sum(axis=1), np.abs(λ @ Q)
     bound = value - np.maximum(0, v - w).sum(axis=1)
@@ -189,8 +209,7 @@ def _certify(
     )
     size = np.abs(along).sum(axis=1) + v.sum(axis=1)
     is_infeasible = (value - v.sum(axis=1) > 1e-13 * size) & (status == INFEASIBLE)
-    bound[is_infeasible] = np.inf
-    return is_infeasible | (is_optimal & (status == OPTIMAL)), bound
+    return is_infeasible | (is_optimal & (status == OPTIMAL)), is_infeasible
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,8 +256,8 @@ class OrthonormalRows:
 
 def _solve_with_highs(
     Q: Float[Array, "r N"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
-) -> tuple[Float[Array, " N"], float]:
-    """Solve one program; the dual value is infinite where it is infeasible."""
+) -> tuple[Float[Array, " N"], bool]:
+    """Solve one program; False where it is infeasible."""
     from problems.solvers import solve_highs
 
     r, N = Q.shape
@@ -249,5 +268,5 @@ def _solve_with_highs(
     try:
         found = solve(problem, solve_highs)
     except Infeasible:
-        return np.full(N, np.nan), np.inf
-    return U * (found.x[:N] - found.x[N:]), -U * float(limits @ found.y)
+        return np.zeros(N), False
+    return U * (found.x[:N] - found.x[N:]), True

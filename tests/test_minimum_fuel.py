@@ -51,7 +51,7 @@ def fuel_by_conic_solver(steps, b, U, weight, solver=solve_highs):
 
 
 @all_models
-def test_solutions_arrive_within_limits_at_their_dual_bound(rng, steps):
+def test_solutions_arrive_within_limits_at_the_fuel_of_their_controls(rng, steps):
     U, weight = 0.02, tie_break_weights(len(steps), 1e-3)
     b = displacements(steps, rng, 400, U)
     b[0] = 0
@@ -63,11 +63,7 @@ def test_solutions_arrive_within_limits_at_their_dual_bound(rng, steps):
     size = np.abs(reachability_matrix(steps)).max(axis=(1, 2)) * U
     assert_allclose(terminal_states(steps, u) / size, b[found] / size, atol=1e-8)
     assert_allclose(result.fuel[found], steps.dt * np.abs(u).sum(axis=(1, 2)))
-    weighted = steps.dt * np.einsum("k,qkm->q", weight, np.abs(u))
-    assert (result.dual_bound[found] <= weighted * (1 + 1e-9) + 1e-12).all()
-    assert_allclose(result.dual_bound[found], weighted, rtol=1e-8, atol=1e-12)
-    assert np.isnan(result.u[~found]).all()
-    assert np.isposinf(result.fuel[~found]).all() and np.isposinf(result.dual_bound[~found]).all()
+    assert np.isnan(result.u[~found]).all() and np.isposinf(result.fuel[~found]).all()
 
 
 @settings(deadline=None, max_examples=25)
@@ -105,10 +101,10 @@ def test_many_displacements_are_solved_as_each_alone(rng):
 
 
 def test_other_batches_do_not_change_the_last_bit(rng):
-    b = displacements(plane, rng, 120, 0.1)
-    before = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
-    b[:40] = displacements(plane, rng, 40, 0.1)
-    after = solve_minimum_fuel(plane, b, 0.1, np.ones(20), batches=6)
+    b = displacements(orbit, rng, 120, 0.1)
+    before = solve_minimum_fuel(orbit, b, 0.1, np.ones(24), batches=6)
+    b[:40] = displacements(orbit, rng, 40, 0.1)
+    after = solve_minimum_fuel(orbit, b, 0.1, np.ones(24), batches=6)
     for one, other in zip(before, after, strict=True):
         assert_array_equal(one[40:], other[40:])
 
@@ -183,8 +179,8 @@ def test_extreme_displacements_are_solved():
 
 @pytest.mark.parametrize("wrong", ["controls", "duals", "certificate", "pivots"])
 def test_highs_solves_what_is_not_solved_or_wrongly_solved(rng, monkeypatch, wrong):
-    b, weight = displacements(plane, rng, 20, 0.1), tie_break_weights(20, 1e-2)
-    right, original = solve_minimum_fuel(plane, b, 0.1, weight), minimum_fuel.solve_batches
+    b, weight = displacements(orbit, rng, 20, 0.1), tie_break_weights(24, 1e-2)
+    right, original = solve_minimum_fuel(orbit, b, 0.1, weight), minimum_fuel.solve_batches
 
     def solve_wrongly(Q, w, b, starts, pivots, x, λ, status):
         original(Q, w, b, starts, pivots, x, λ, status)
@@ -197,9 +193,8 @@ def test_highs_solves_what_is_not_solved_or_wrongly_solved(rng, monkeypatch, wro
 
     monkeypatch.setattr(minimum_fuel, "solve_batches", solve_wrongly)
     monkeypatch.setattr(minimum_fuel, "MAX_PIVOTS", 0 if wrong == "pivots" else 1000)
-    result = solve_minimum_fuel(plane, b, 0.1, weight)
+    result = solve_minimum_fuel(orbit, b, 0.1, weight)
     assert_allclose(result.fuel, right.fuel, rtol=1e-10, atol=1e-12)
-    assert_allclose(result.dual_bound, right.dual_bound, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -221,4 +216,4 @@ def test_invalid_arguments_are_refused(message, changes):
 def test_no_displacements_give_empty_results():
     result = solve_minimum_fuel(plane, np.zeros((0, 4)), 0.1, np.ones(20))
     assert result.u.shape == (0, 20, 2)
-    assert result.fuel.shape == result.dual_bound.shape == (0,)
+    assert result.fuel.shape == (0,)
