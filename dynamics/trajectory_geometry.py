@@ -18,9 +18,12 @@ import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.closest_approach import nearest_of_groups
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
+
+MAX_PAIRS = 50_000  # of agents in pieces, that are compared at once
 
 Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
 Samples = Float[Array, "*agents instants d"]  # positions or velocities at the instants
@@ -136,27 +139,28 @@ def separations(
     finite, also where it is lost at the end. With radii R, distances are relative to that
     which a pair keeps, (R_i + R_j)/2. Lost agents that are adrift count beside live ones.
     """
-    K = len(position) - 1
+    K, agents = len(position) - 1, position.shape[1]
     by_agent = np.moveaxis(position, 0, 1), np.moveaxis(velocity, 0, 1)
     b = np.moveaxis(control_points(*by_agent, h), 0, 1)
+    wide = np.ones(agents) if radii is None else radii
+    lost = np.zeros_like(alive) if is_adrift is None else is_adrift & ~alive
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
+    first, pairs = 0, []
     for k in range(K):
-        agents = np.flatnonzero(alive[k] & np.isfinite(b[k]).all(axis=(1, 2)))
-        if len(agents) > 1:
-            points = np.ascontiguousarray(b[k, agents])
-            if radii is None:
-                distance, fraction, pair = _closest_approach(points)
-            else:
-                distance, fraction, pair = _closest_relative_approach(points, radii[agents])
-            found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, agents[pair]
-        if is_adrift is None or not is_adrift[k].any():
+        present = np.flatnonzero((alive[k] | lost[k]) & np.isfinite(b[k]).all(axis=(1, 2)))
+        pairs.append(present[_near_pairs(b[k, present], wide[present], lost[k, present])])
+        if k < K - 1 and sum(map(len, pairs)) < MAX_PAIRS:
             continue
-        lost = np.flatnonzero(is_adrift[k] & np.isfinite(b[k]).all(axis=(1, 2)))
-        pairs = np.stack(np.meshgrid(agents, lost), axis=-1).reshape(-1, 2)
-        if len(pairs):
-            distance, fraction, pair = _closest_pair(np.ascontiguousarray(b[k]), pairs, radii)
-            if distance < found.distance[k]:
-                found.distance[k], found.fraction[k], found.pair[k] = distance, fraction, pair
+        piece = np.repeat(np.arange(len(pairs)), [len(some) for some in pairs])
+        i, j = np.concatenate(pairs).T
+        relative = b[first + piece, j] - b[first + piece, i]
+        relative /= ((wide[i] + wide[j]) / 2)[:, None, None]
+        distance, fraction = nearest_of_groups(relative, piece)
+        order = np.argsort(-distance, kind="stable")  # the last of a piece stays
+        k_of = first + piece[order]
+        found.distance[k_of], found.fraction[k_of] = distance[order], fraction[order]
+        found.pair[k_of] = np.stack([i, j], axis=1)[order]
+        first, pairs = k + 1, []
     return found
 
 
@@ -267,44 +271,29 @@ def _midpoint_error(position: Array, velocity: Array, h: float) -> float:
     return float(np.max(error, initial=0.0, where=np.isfinite(error)))
 
 
-def _closest_approach(b: Float[Array, "agents 4 d"]) -> tuple[float, float, Int[Array, " 2"]]:
-    # A piece stays in the ball about the midpoint of its ends that contains its control
-    # points. Pairs whose balls are further apart than the ends of some pair are left out.
-    bound = min(min_distance(b[:, 0]), min_distance(b[:, 3]))
-    middle = (b[:, 0] + b[:, 3]) / 2
-    reach = float(np.linalg.norm(b - middle[:, None], axis=2).max())
-    radius = (bound + 2 * reach) * (1 + 1e-12)
-    pairs = scipy.spatial.cKDTree(middle).query_pairs(radius, output_type="ndarray")
-    from dynamics.bezier_kernels import closest_pair
+def _near_pairs(
+    b: Float[Array, "agents 4 d"], radii: Float[Array, " agents"], is_lost: Bool[Array, " agents"]
+) -> Int[Array, "pairs 2"]:
+    """List the pairs that may be nearest, relative to the mean of their radii; not two lost ones.
 
-    distance, fraction, best = closest_pair(b, pairs)
-    return float(distance), float(fraction), pairs[best]
-
-
-def _closest_relative_approach(
-    b: Float[Array, "agents 4 d"], radii: Float[Array, " agents"]
-) -> tuple[float, float, Int[Array, " 2"]]:
-    return _closest_pair(b, np.stack(np.triu_indices(len(b), 1), axis=1), radii)
-
-
-def _closest_pair(
-    b: Float[Array, "agents 4 d"],
-    pairs: Int[Array, "pairs 2"],
-    radii: Float[Array, " agents"] | None,
-) -> tuple[float, float, Int[Array, " 2"]]:
-    # As `_closest_approach`, pair after pair, those that may be nearest first.
-    from dynamics.bezier_kernels import closest_pair
-
-    required = np.ones(len(pairs)) if radii is None else radii[pairs].mean(axis=1)
-    middle = (b[:, 0] + b[:, 3]) / 2
-    reach = np.linalg.norm(b - middle[:, None], axis=2).max(axis=1)
-    between = np.linalg.norm(middle[pairs[:, 0]] - middle[pairs[:, 1]], axis=1)
-    bound = (between * (1 - 1e-12) - reach[pairs].sum(axis=1)) / required
-    least, at, best = np.inf, 0.0, pairs[0]
-    for q in np.argsort(bound):
-        if bound[q] >= least:
-            break
-        distance, fraction, _ = closest_pair(b, pairs[q : q + 1])
-        if distance / required[q] < least:
-            least, at, best = float(distance / required[q]), float(fraction), pairs[q]
-    return least, at, best
+    A piece stays in the ball about the midpoint of its ends that contains its control points.
+    Pairs whose balls are further apart than the ends of some pair are left out.
+    """
+    if len(b) - np.count_nonzero(is_lost) < (1 if is_lost.any() else 2):
+        return np.zeros((0, 2), dtype=int)
+    bound = np.inf
+    for ends in (b[:, 0], b[:, 3]):
+        distance, other = scipy.spatial.cKDTree(ends).query(ends, k=2)
+        other, distance = other[:, 1], distance[:, 1] / ((radii + radii[other[:, 1]]) / 2)
+        bound = min(bound, distance[~(is_lost & is_lost[other])].min(initial=np.inf))
+    if bound < np.inf:
+        middle = (b[:, 0] + b[:, 3]) / 2
+        reach = np.linalg.norm(b - middle[:, None], axis=2).max(axis=1)
+        radius = (bound * radii.max() + 2 * reach.max()) * (1 + 1e-12)
+        i, j = scipy.spatial.cKDTree(middle).query_pairs(radius, output_type="ndarray").T
+        between = np.linalg.norm(middle[i] - middle[j], axis=1) * (1 - 1e-12)
+        near = between <= bound * (radii[i] + radii[j]) / 2 + reach[i] + reach[j]
+        i, j = i[near], j[near]
+    else:
+        i, j = np.triu_indices(len(b), 1)
+    return np.stack([i, j], axis=1)[~(is_lost[i] & is_lost[j])]

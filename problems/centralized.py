@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.bezier_kernels import closest_pair
+from dynamics.closest_approach import nearest_of_groups
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.trajectory_geometry import hull_distance
@@ -265,9 +265,8 @@ class CentralizedProblem:
         relative = self._relative_control_points(x, u)
         distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
         near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self._clearances_of(len(x))[:, 0])
-        for a, p in np.argwhere(near):
-            both = np.stack([np.zeros_like(relative[a, p]), relative[a, p]])
-            distance[a, p], fraction[a, p], _ = closest_pair(both, np.array([[0, 1]]))
+        each = np.arange(np.count_nonzero(near))
+        distance[near], fraction[near] = nearest_of_groups(relative[near], each)
         return distance, fraction
 
     def _relative_control_points(self, x: Array, u: Array) -> Array:

@@ -1,8 +1,7 @@
 """Half-spaces for the control points of a trajectory: collision constraints, made convex."""
 
-from typing import Any, NamedTuple, no_type_check
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -21,8 +20,10 @@ class HalfSpaces(NamedTuple):
 
     def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        x, u = (np.ascontiguousarray(part, dtype=float) for part in (x, u))
-        return np.asarray(_violation(*self, x, u))
+        on_x = np.einsum("rn,rn->r", self.state_coeffs, x[self.step_index])
+        return np.asarray(
+            self.rhs - on_x - np.einsum("rm,rm->r", self.control_coeffs, u[self.step_index])
+        )
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
         """Express the left-hand sides in CVXPY variables."""
@@ -64,13 +65,22 @@ class HalfSpaces(NamedTuple):
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
-        return np.asarray(_peaks(self.step_index, violation, tolerance, True))
+        step, worst = self.step_index, self._worst_of_steps(violation, tolerance)
+        is_peak = worst[step + 1] >= np.maximum(worst[step], worst[step + 2])
+        return is_peak & self.worst_per_step(violation, tolerance)
 
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
-        return np.asarray(_peaks(self.step_index, violation, tolerance, False))
+        worst = self._worst_of_steps(violation, tolerance)[self.step_index + 1]
+        return (violation > tolerance) & (violation >= worst)
+
+    def _worst_of_steps(self, violation: Float[Array, " rows"], tolerance: float) -> Array:
+        """Return the largest violation of each step, from one before the first, or the tolerance."""
+        worst = np.full(self.step_index.max(initial=-1) + 3, tolerance)
+        np.maximum.at(worst, self.step_index + 1, violation)
+        return worst
 
 
 def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
@@ -94,7 +104,8 @@ def separate_points(
         separation: Required distance R from each [m].
     """
     P, Q, r = maps
-    pieces = P.shape[0] * P.shape[1]
+    T, S, _, d, n = P.shape
+    pieces, others = T * S, len(points)
     is_short = min(normal.shape[1], points.shape[1]) < pieces
     if is_short or not len(normal) == len(points) == len(separation):
         raise ValueError(
@@ -103,63 +114,12 @@ def separate_points(
         )
     movable = np.any(Q != 0, axis=(3, 4))
     movable[1:] = True
-    return HalfSpaces(*_separate(P, Q, r, movable, normal, points, separation))
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _separate(P, Q, r, movable, normal, points, separation):
-    T, S, _, d, n = P.shape
-    rows = len(points) * movable.sum()
-    step_index, rhs = np.empty(rows, np.int64), np.empty(rows)
-    state_coeffs, control_coeffs = np.zeros((rows, n)), np.zeros((rows, d))
-    row = 0
-    for other in range(len(points)):
-        for k in range(T):
-            for s in range(S):
-                piece = k * S + s
-                for i in range(4):
-                    if not movable[k, s, i]:
-                        continue
-                    step_index[row], rhs[row] = k, separation[other]
-                    for a in range(d):
-                        along = normal[other, piece, a]
-                        rhs[row] += along * (points[other, piece, i, a] - r[k, s, i, a])
-                        for j in range(n):
-                            state_coeffs[row, j] += along * P[k, s, i, a, j]
-                        for j in range(d):
-                            control_coeffs[row, j] += along * Q[k, s, i, a, j]
-                    row += 1
-    return step_index, state_coeffs, control_coeffs, rhs
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _violation(step_index, state_coeffs, control_coeffs, rhs, x, u):
-    found = rhs.copy()
-    for row in range(len(rhs)):
-        k = step_index[row]
-        for i in range(x.shape[1]):
-            found[row] -= state_coeffs[row, i] * x[k, i]
-        for i in range(u.shape[1]):
-            found[row] -= control_coeffs[row, i] * u[k, i]
-    return found
-
-
-@numba.njit(cache=True, nogil=True)
-@no_type_check
-def _peaks(step_index, violation, tolerance, among_neighbors):
-    # The largest violations of each step, above a tolerance; of peaks alone if among neighbors.
-    rows, steps = len(violation), 0
-    for row in range(rows):
-        steps = max(steps, step_index[row] + 1)
-    worst = np.full(steps + 2, tolerance)
-    for row in range(rows):
-        k = step_index[row] + 1
-        worst[k] = max(worst[k], violation[row])
-    found = np.zeros(rows, np.bool_)
-    for row in range(rows):
-        k = step_index[row] + 1
-        is_peak = not among_neighbors or (worst[k] >= worst[k - 1] and worst[k] >= worst[k + 1])
-        found[row] = is_peak and violation[row] > tolerance and violation[row] >= worst[k]
-    return found
+    each, normal = movable.ravel(), normal[:, :pieces]
+    away = points[:, :pieces] - r.reshape(pieces, 4, d)
+    rhs = separation[:, None, None] + np.einsum("opd,opid->opi", normal, away)
+    along = np.repeat(normal, 4, axis=1)[:, each]
+    on_x = np.einsum("ord,rdn->orn", along, P.reshape(-1, d, n)[each])
+    on_u = np.einsum("ord,rdm->orm", along, Q.reshape(-1, d, d)[each])
+    step = np.tile(np.repeat(np.arange(T), 4 * S)[each], others)
+    rhs = rhs.reshape(others, 4 * pieces)[:, each].ravel()
+    return HalfSpaces(step, on_x.reshape(-1, n), on_u.reshape(-1, d), rhs)

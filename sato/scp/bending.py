@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from math import ceil, inf
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -112,55 +111,36 @@ def _are_too_near(
     return np.asarray(apart.min(axis=1) < np.minimum(wanted, ends))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-@no_type_check
-def push_apart(relative, wanted):
+def push_apart(
+    relative: Float[Array, "others pieces d"], wanted: Float[Array, " others"]
+) -> Float[Array, "others pieces d"]:
     """Return what keeps a path at wanted distances of others, across the relative motion [m].
 
     Two that meet head-on go each to its right.
 
     Args:
-        relative: Path less those of others, (others, pieces, d) [m].
+        relative: Path less those of others [m].
         wanted: Distance from each other [m].
     """
-    others, pieces, d = relative.shape
-    push, along, way = np.zeros(relative.shape), np.empty(d), np.empty(d)
-    for i in range(others):
-        R = wanted[i]
-        for k in range(pieces):
-            before, after = max(k - 1, 0), min(k + 1, pieces - 1)
-            span = max(after - before, 1)
-            apart, speed, ahead, miss = 0.0, 0.0, 0.0, 0.0
-            for a in range(d):
-                apart += relative[i, k, a] ** 2
-                along[a] = (relative[i, after, a] - relative[i, before, a]) / span
-                speed += along[a] ** 2
-            apart, speed = np.sqrt(apart), np.sqrt(speed)
-            if apart >= R:
-                continue
-            for a in range(d):
-                along[a] /= max(speed, TINY)
-                ahead += relative[i, k, a] * along[a]
-            for a in range(d):
-                way[a] = relative[i, k, a] - ahead * along[a]
-                miss += way[a] ** 2
-            miss = np.sqrt(miss)
-            lacking = np.sqrt(max(R**2 - ahead**2, 0.0)) - miss
-            if speed < SLOW * R:
-                lacking = R - apart
-                for a in range(d):
-                    way[a] = relative[i, k, a]
-            elif miss < TOUCH * R:
-                for a in range(2, d):
-                    way[a] = 0.0
-                is_vertical = along[0] == 0.0 and along[1] == 0.0
-                way[0], way[1] = 1.0 if is_vertical else along[1], -along[0]
-            size = 0.0
-            for a in range(d):
-                size += way[a] ** 2
-            for a in range(d):
-                push[i, k, a] = max(lacking, 0.0) * way[a] / max(np.sqrt(size), TINY)
-    return push
+    pieces, R = relative.shape[1], wanted[:, None]
+    k = np.arange(pieces)
+    before, after = np.maximum(k - 1, 0), np.minimum(k + 1, pieces - 1)
+    span = np.maximum(after - before, 1)[:, None]
+    motion = (relative[:, after] - relative[:, before]) / span
+    apart, speed = np.linalg.norm(relative, axis=2), np.linalg.norm(motion, axis=2)
+    along = motion / np.maximum(speed, TINY)[..., None]
+    ahead = (relative * along).sum(axis=2)
+    way = relative - ahead[..., None] * along
+    miss = np.linalg.norm(way, axis=2)
+    lacking = np.sqrt(np.maximum(R**2 - ahead**2, 0.0)) - miss
+    is_slow = speed < SLOW * R
+    lacking, way = np.where(is_slow, R - apart, lacking), np.where(is_slow[..., None], relative, way)
+    right = np.zeros_like(way)
+    right[..., 0] = np.where((along[..., :2] == 0).all(axis=2), 1.0, along[..., 1])
+    right[..., 1] = -along[..., 0]
+    way = np.where(((miss < TOUCH * R) & ~is_slow)[..., None], right, way)
+    size = np.where(apart < R, np.maximum(lacking, 0.0), 0.0)
+    return size[..., None] * way / np.maximum(np.linalg.norm(way, axis=2), TINY)[..., None]
 
 
 def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[Array, "k d"]:
