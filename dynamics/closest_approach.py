@@ -16,9 +16,7 @@ MAX_NEWTON_STEPS = 6
 _BINOMIALS = np.array([1.0, 3.0, 3.0, 1.0])
 _PRODUCTS = np.zeros((4, 4, 7))
 for _i, _j in np.ndindex(4, 4):
-    _PRODUCTS[_i, _j, _i + _j] = (
-        _BINOMIALS[_i] * _BINOMIALS[_j] / [1, 6, 15, 20, 15, 6, 1][_i + _j]
-    )
+    _PRODUCTS[_i, _j, _i + _j] = _BINOMIALS[_i] * _BINOMIALS[_j] / [1, 6, 15, 20, 15, 6, 1][_i + _j]
 
 
 def nearest_of_groups(

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.closest_approach import nearest_of_groups
+from dynamics.convex_hulls import min_norm_points
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
@@ -118,10 +119,7 @@ def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], A
     d = points.shape[-1]
     if d not in (2, 3):
         raise ValueError(f"points have 2 or 3 axes, got {d}")
-    from dynamics.bezier_kernels import min_norm_points  # compiles, so it is imported late
-
-    flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 4, d)
-    distance, nearest = min_norm_points(flat)
+    distance, nearest = min_norm_points(points.reshape(-1, 4, d))
     return distance.reshape(points.shape[:-2]), nearest.reshape(*points.shape[:-2], d)
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
+from dynamics.convex_hulls import are_outside
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.half_spaces import HalfSpaces, separate_points
@@ -128,12 +129,9 @@ def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
 def _are_outside(
     relative: ControlPoints, radius: Separation, is_exact: bool
 ) -> Bool[Array, "*pairs"]:
-    from dynamics.bezier_kernels import are_outside  # compiles, so it is imported late
-
     shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
-    flat = np.ascontiguousarray(relative).reshape(-1, corners, d)
-    per_piece = _per_piece(radius, shape).flatten()
-    return np.asarray(are_outside(flat, per_piece, is_exact)).reshape(shape)
+    per_piece = _per_piece(radius, shape).reshape(-1)
+    return are_outside(relative.reshape(-1, corners, d), per_piece, is_exact).reshape(shape)
 
 
 def separation_violation(relative: ControlPoints, radius: Separation) -> float:

@@ -77,7 +77,7 @@ class HalfSpaces(NamedTuple):
         return (violation > tolerance) & (violation >= worst)
 
     def _worst_of_steps(self, violation: Float[Array, " rows"], tolerance: float) -> Array:
-        """Return the largest violation of each step, from one before the first, or the tolerance."""
+        """Return the largest violation of each step, the tolerance at least, from step −1 on."""
         worst = np.full(self.step_index.max(initial=-1) + 3, tolerance)
         np.maximum.at(worst, self.step_index + 1, violation)
         return worst

@@ -73,7 +73,7 @@ def solve_minimum_fuel(
         ValueError: There is no step, or a displacement, weight or limit is not valid.
         Unsolved: The solution of HiGHS fails verification too.
     """
-    (T, _, m), count = steps.B.shape, len(displacement)
+    T, count = len(steps), len(displacement)
     _validate(T, displacement, max_control, weight)
     if not (is_double_integrator(steps) and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)

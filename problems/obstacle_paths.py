@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.convex_hulls import body_distances
 from problems.convexify import (
     SEPARATION_TOLERANCE,
     PassingSide,
@@ -77,12 +78,9 @@ def measure_gaps(
     Returns:
         The distance, and the vector of that length from the nearest point of the obstacle.
     """
-    from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
-
     shape, d = path.shape[:2], path.shape[-1]
     body = np.repeat(np.arange(shape[0]), shape[1])
-    flat = np.ascontiguousarray(path, dtype=float).reshape(-1, 4, d)
-    gap, vector = body_distances(flat, np.ascontiguousarray(obstacles.corners), body)
+    gap, vector = body_distances(path.reshape(-1, 4, d), obstacles.corners, body)
     return gap.reshape(shape), vector.reshape(*shape, d)
 
 
@@ -107,10 +105,8 @@ def are_points_clear(
     away = np.linalg.norm(relative, axis=-1)
     clear = np.asarray(away >= obstacles.clearance[one] + obstacles.size[one])
     if corners.any() and not clear.all():
-        from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
-
-        near = np.ascontiguousarray(relative[~clear][:, None])
-        gap, _ = body_distances(near, np.ascontiguousarray(corners), np.zeros(len(near), int))
+        near = relative[~clear][:, None]
+        gap, _ = body_distances(near, corners, np.zeros(len(near), dtype=int))
         clear[~clear] = gap.ravel() >= obstacles.clearance[one]
     return clear
 

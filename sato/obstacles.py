@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.convex_hulls import body_distances
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Matrix, Positive
 from sato.scenario.errors import InputError
@@ -253,11 +254,8 @@ class Polytope(Obstacle):
         return np.asarray(self._listed - self.place)
 
     def nearest(self, points: Points) -> Points:  # noqa: D102
-        from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
-
-        flat = np.ascontiguousarray(points, dtype=float).reshape(-1, 1, self.axes)
-        body = np.zeros(len(flat), dtype=int)
-        _, vector = body_distances(flat, np.ascontiguousarray(self._listed[None]), body)
+        flat = np.reshape(points, (-1, 1, self.axes))
+        _, vector = body_distances(flat, self._listed[None], np.zeros(len(flat), dtype=int))
         return np.asarray(points - vector.reshape(points.shape))
 
 

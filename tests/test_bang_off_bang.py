@@ -34,8 +34,8 @@ def draw_controls(rng, kind, count, N):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from(KINDS))
 def test_burns_are_the_optima_of_the_simplex_method(seed, N, kind):
     rng = np.random.default_rng(seed)
-    U, steps = rng.uniform(0.05, 3.0, 2), discretize_zoh(DoubleIntegrator(2), rng.uniform(0.1, 2), N)
-    weight = tie_break_weights(N, 1e-3)
+    steps = discretize_zoh(DoubleIntegrator(2), rng.uniform(0.1, 2), N)
+    U, weight = rng.uniform(0.05, 3.0, 2), tie_break_weights(N, 1e-3)
     u = draw_controls(rng, kind, 40, N) * U
     b = np.einsum("nkm,qkm->qn", reachability_matrix(steps), u)
     b *= np.where(rng.random((40, 1)) < 0.3, rng.uniform(0.5, 2, (40, 1)), 1.0)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sato
-from dynamics.bezier_kernels import body_distances
+from dynamics.convex_hulls import body_distances
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, support_obstacles
 from sato.obstacles import polytope_about_ball
 from sato.scp.routes import find_route

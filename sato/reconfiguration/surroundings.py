@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
+from dynamics.convex_hulls import body_distances
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
 from sato.obstacles import Obstacle, corners_of_cube, polytope_about_ball
@@ -67,8 +68,6 @@ class Surroundings(NamedTuple):
         """Return the same, with what agents see within their sensing radius."""
         if self.is_known.all():
             return self
-        from dynamics.bezier_kernels import body_distances  # compiles, so it is imported late
-
         d = mission.axes
         away = x[:, None, :d] - self.state[:, :d]
         body = np.tile(np.arange(len(self.state)), len(x))

@@ -134,7 +134,8 @@ def push_apart(
     miss = np.linalg.norm(way, axis=2)
     lacking = np.sqrt(np.maximum(R**2 - ahead**2, 0.0)) - miss
     is_slow = speed < SLOW * R
-    lacking, way = np.where(is_slow, R - apart, lacking), np.where(is_slow[..., None], relative, way)
+    lacking = np.where(is_slow, R - apart, lacking)
+    way = np.where(is_slow[..., None], relative, way)
     right = np.zeros_like(way)
     right[..., 0] = np.where((along[..., :2] == 0).all(axis=2), 1.0, along[..., 1])
     right[..., 1] = -along[..., 0]
