@@ -43,13 +43,25 @@ class Tableau(NamedTuple):
     kink_index: Array
 
 
+def choose_basis(rows: Array) -> Array:
+    """Return as many columns as rows, each the farthest from the span of those before."""
+    rest, basis = rows.copy(), np.empty(len(rows), np.int64)
+    for i in range(len(rows)):
+        size = np.linalg.norm(rest, axis=0)
+        basis[i] = size.argmax()
+        axis = rest[:, basis[i]] / size[basis[i]]
+        rest -= np.outer(axis, axis @ rest)
+    return basis
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def solve_batches(rows, w, b, starts, max_pivots, x, λ, status):
+def solve_batches(rows, first_basis, w, b, starts, max_pivots, x, λ, status):
     """Solve every program; those of other batches do not change a bit of its solution.
 
     Args:
         rows: Q.
+        first_basis: Columns with which each batch begins, see `choose_basis`.
         w: Weights of the controls.
         b: Right-hand sides, one row a program.
         starts: First program of each batch, and at the end the number of programs.
@@ -59,11 +71,12 @@ def solve_batches(rows, w, b, starts, max_pivots, x, λ, status):
         status: Written.
     """
     m, n = rows.shape
-    first_basis = _choose_basis(rows)
     for batch in range(len(starts) - 1):
-        basis, sign, inverse = first_basis.copy(), np.ones(m), np.empty((m, m))
+        basis, sign, inverse = np.empty(m, np.int64), np.ones(m), np.empty((m, m))
+        _copy(basis, first_basis)
         v, value, α = np.zeros(n), np.zeros(n), np.zeros(n)
-        residual, basic_value, ρ, column, norm = np.zeros((5, m))
+        residual, basic_value, ρ = np.zeros(m), np.zeros(m), np.zeros(m)
+        column, norm = np.zeros(m), np.zeros(m)
         kinks, index = np.zeros(2 * n), np.zeros(2 * n, np.int64)
         for q in range(starts[batch], starts[batch + 1]):
             factor, point = (basis, sign, inverse), (λ[q], v, value, residual, basic_value)
@@ -95,7 +108,8 @@ def _maximize_dual(d, max_pivots):
             return OPTIMAL
         left = basis[leaving]
         direction = sign[leaving] if up else -sign[leaving]
-        α[:] = 0.0
+        for j in range(n):
+            α[j] = 0.0
         for a in range(m):
             ρ[a] = direction * d.basis_inverse[a, leaving]
             for j in range(n):
@@ -193,31 +207,6 @@ def _sift_down(step, kink, i, count):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _choose_basis(rows):
-    # Greedily: each column the farthest from the span of those before.
-    m, n = rows.shape
-    rest, basis = rows.T.copy(), np.empty(m, np.int64)
-    for i in range(m):
-        best, size = 0, -1.0
-        for j in range(n):
-            norm = 0.0
-            for a in range(m):
-                norm += rest[j, a] ** 2
-            if norm > size:
-                best, size = j, norm
-        basis[i] = best
-        axis = rest[best] / np.sqrt(size)
-        for j in range(n):
-            along = 0.0
-            for a in range(m):
-                along += rest[j, a] * axis[a]
-            for a in range(m):
-                rest[j, a] -= along * axis[a]
-    return basis
-
-
-@numba.njit(error_model="numpy")
-@no_type_check
 def _refactorize(d):
     # Recomputes all from rows, basis and signs; False where the basis is singular.
     (m, n), rows, inverse, basis, sign = (
@@ -245,7 +234,8 @@ def _refactorize(d):
         sign[i], sign[best] = sign[best], sign[i]
         _pivot(d, basis[i], i)
     w, v, λ, state = d.w, d.v, d.λ, d.nonbasic_value
-    v[:] = 0.0
+    for j in range(n):
+        v[j] = 0.0
     for a in range(m):
         λ[a] = 0.0
         for i in range(m):

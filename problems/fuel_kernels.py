@@ -126,7 +126,8 @@ def ascend(
         last = _choose_entering(step, drop, candidate, entry, passed, count, violation, tolerance)
         if last < 0:
             place[own] -= sign > 0
-            ray[:] = 0.0
+            for j in range(n + m):
+                ray[j] = 0.0
             for j in range(n):
                 ray[nonbasic[j]] = entry[j]
             ray[own] = sign
@@ -211,15 +212,14 @@ def _choose_entering(step, drop, candidate, entry, passed, count, slope, toleran
 def _exchange(tableau, leaving, enter):
     # Exchanges a basic and a nonbasic variable.
     m, n = tableau.shape
-    pivot, row = tableau[leaving, enter], tableau[leaving].copy()
+    row, pivot = tableau[leaving], tableau[leaving, enter]
     for j in range(n):
         row[j] /= -pivot
     row[enter] = 1.0 / pivot
     for i in range(m):
         factor, own = tableau[i, enter], tableau[i]
-        if factor == 0.0:
+        if factor == 0.0 or i == leaving:
             continue
         own[enter] = 0.0
         for j in range(n):
             own[j] += factor * row[j]
-    tableau[leaving] = row

@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 from dynamics import DiscreteModel
 from problems.bang_off_bang import is_concave, is_double_integrator, solve_burns
 from problems.conic import ConicProgram, Infeasible, solve
-from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
+from problems.dual_simplex import INFEASIBLE, OPTIMAL, choose_basis, solve_batches
 from problems.limit import Bound, Limit
 
 MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that needs more
@@ -171,14 +171,14 @@ def _solve_parallel(
     """Return the solutions, True where they are certified, and where they are infeasible."""
     x, λ, status = np.zeros((len(b), len(w))), np.zeros(b.shape), np.zeros(len(b), np.int64)
     is_certified, is_infeasible = np.zeros((2, len(b)), dtype=bool)
-    batches = max(1, min(len(b), batches))
+    batches, first_basis = max(1, min(len(b), batches)), choose_basis(Q)
     starts = np.arange(batches + 1) * len(b) // batches
     threads = os.cpu_count() or 1
     tasks = min(batches, TASKS_PER_CORE * threads) if len(b) >= MIN_PARALLEL else 1
 
     def solve_some(task: int) -> None:
         own = starts[task * batches // tasks : (task + 1) * batches // tasks + 1]
-        solve_batches(Q, w, b, own, MAX_PIVOTS, x, λ, status)
+        solve_batches(Q, first_basis, w, b, own, MAX_PIVOTS, x, λ, status)
         for first, last in pairwise(own):  # few enough to stay in the cache of a core
             few = slice(first, last)
             parts = b[few], x[few], λ[few], status[few]

@@ -182,8 +182,8 @@ def test_highs_solves_what_is_not_solved_or_wrongly_solved(rng, monkeypatch, wro
     b, weight = displacements(orbit, rng, 20, 0.1), tie_break_weights(24, 1e-2)
     right, original = solve_minimum_fuel(orbit, b, 0.1, weight), minimum_fuel.solve_batches
 
-    def solve_wrongly(Q, w, b, starts, pivots, x, λ, status):
-        original(Q, w, b, starts, pivots, x, λ, status)
+    def solve_wrongly(Q, basis, w, b, starts, pivots, x, λ, status):
+        original(Q, basis, w, b, starts, pivots, x, λ, status)
         if wrong == "controls":
             x *= 1 - 1e-7
         elif wrong == "duals":

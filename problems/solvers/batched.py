@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from scipy.sparse import eye_array, vstack
 
 from problems.conic import ConicProgram, SolverResult
-from problems.dual_simplex import INFEASIBLE, OPTIMAL, solve_batches
+from problems.dual_simplex import INFEASIBLE, OPTIMAL, choose_basis, solve_batches
 from problems.minimum_fuel import MAX_PIVOTS, OrthonormalRows
 from problems.solvers.adapter import LP, SolverAdapter, Vector
 
@@ -46,6 +46,7 @@ class DualSimplexSession:
         self._bounds = problem.b[self._zero :]
         C = problem.A[: self._zero].toarray()[:, : n // 2]
         self._orthonormal = OrthonormalRows.from_matrix(C)
+        self._first_basis = choose_basis(self._orthonormal.rows)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side of the equations.
@@ -58,8 +59,8 @@ class DualSimplexSession:
         x, λ = np.empty((1, len(self._w))), np.empty((1, self._zero))
         status = np.empty(1, np.int64)
         transformed, _ = self._orthonormal.transform(b[None, : self._zero], 1.0)
-        rows, only = self._orthonormal.rows, np.array([0, 1])
-        solve_batches(rows, self._w, transformed, only, MAX_PIVOTS, x, λ, status)
+        data = self._orthonormal.rows, self._first_basis, self._w, transformed
+        solve_batches(*data, np.array([0, 1]), MAX_PIVOTS, x, λ, status)
         if status == OPTIMAL:
             z = np.maximum(np.concatenate([x[0], -x[0]]), 0)
             return SolverResult("solved", "optimal", z, self._duals(λ[0], self._w))
