@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from problems.alignment import compute_shape_error
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
-from sato.formation.control_law import FormationData, compute_velocity_command
+from sato.formation.control_law import FormationData, compute_velocity_commands
 from sato.formation.settings import ControlLaw
 from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation
@@ -46,11 +46,10 @@ def commands(
     position: Float[Array, "n 3"], gains: GainMatrix, law: ControlLaw, legacy: bool = False
 ) -> Float[Array, "n 3"]:
     """Compute the velocity command of every agent [m/s]."""
-    formation, asked = FormationData.from_gains(gains), np.zeros_like(position)
-    for i, u in enumerate(asked):
-        near = np.flatnonzero(gains.formation.graph[i])
-        compute_velocity_command(i, position - position[i], near, formation, law, legacy, u)
-    return asked
+    formation, me = FormationData.from_gains(gains), np.arange(len(position))
+    relative = position[formation.neighbors] - position[:, None]
+    is_known = formation.neighbors >= 0
+    return compute_velocity_commands(me, relative, is_known, formation, law, legacy)
 
 
 def draw_case(rng: np.random.Generator) -> tuple[GainMatrix, Float[Array, "n 3"]]:

@@ -68,7 +68,7 @@ def _normals_to(b: Float[Array, "hulls k d"], order: int) -> Float[Array, "hulls
     first, *others = np.array(list(combinations(range(b.shape[1]), order))).T
     base, (edge, *second) = b[:, first], [b[:, other] - b[:, first] for other in others]
     if second:
-        return np.cross(edge, second[0])
+        return np.asarray(np.cross(edge, second[0]))
     if b.shape[2] == 2:
         return np.stack([edge[..., 1], -edge[..., 0]], axis=-1)
     square = np.maximum(np.einsum("qed,qed->qe", edge, edge), TINY**2)

@@ -294,4 +294,4 @@ def _near_pairs(
         i, j = i[near], j[near]
     else:
         i, j = np.triu_indices(len(b), 1)
-    return np.stack([i, j], axis=1)[~(is_lost[i] & is_lost[j])]
+    return np.asarray(np.stack([i, j], axis=1)[~(is_lost[i] & is_lost[j])])

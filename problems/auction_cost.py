@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -69,8 +69,8 @@ def compute_transfer_costs(
     free = _coast(steps, start)
     for first in range(0, len(start), count):
         few = slice(first, first + count)
-        own = start[few], targets, targets - free[few, None]
-        cost[few], reachable[few], exact[few] = _compute_fuel(transfer, *own)
+        b = np.asarray(targets - free[few, None])
+        cost[few], reachable[few], exact[few] = _compute_fuel(transfer, start[few], targets, b)
     cost[~reachable] = unreachable
     return TransferCosts(cost, reachable, exact)
 
@@ -80,7 +80,7 @@ def _compute_fuel(
     start: Float[Array, "agents n"],
     targets: Float[Array, "targets n"],
     b: Float[Array, "agents targets n"],
-) -> tuple[Array, Array, Array]:
+) -> tuple[Any, Any, Any]:
     """Return the fuel of every displacement, and where it is reachable, and where it is exact."""
     steps, d, U = transfer.model, transfer.model.axes, transfer.max_control
     burns = solve_burns(b[..., :d], b[..., d:], steps, U) if is_double_integrator(steps) else None

@@ -36,7 +36,7 @@ class Burns(NamedTuple):
     @property
     def length(self) -> Float[Array, "*programs"]:
         """Steps of full control of both burns, which is the fuel."""
-        return np.abs(self.first) + np.abs(self.last)
+        return np.asarray(np.abs(self.first) + np.abs(self.last))
 
     def controls(self, steps: int) -> Float[Array, "*programs T"]:
         """Return the share of full control in each step, from −1 to 1."""

@@ -67,14 +67,14 @@ class HalfSpaces(NamedTuple):
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
         step, worst = self.step_index, self._worst_of_steps(violation, tolerance)
         is_peak = worst[step + 1] >= np.maximum(worst[step], worst[step + 2])
-        return is_peak & self.worst_per_step(violation, tolerance)
+        return np.asarray(is_peak & self.worst_per_step(violation, tolerance))
 
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
         worst = self._worst_of_steps(violation, tolerance)[self.step_index + 1]
-        return (violation > tolerance) & (violation >= worst)
+        return np.asarray((violation > tolerance) & (violation >= worst))
 
     def _worst_of_steps(self, violation: Float[Array, " rows"], tolerance: float) -> Array:
         """Return the largest violation of each step, the tolerance at least, from step −1 on."""

@@ -78,9 +78,11 @@ def solve_minimum_fuel(
     if not (is_double_integrator(steps) and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:
-        burns = solve_burns(*np.split(displacement, 2, axis=1), steps, max_control)
+        position, velocity = np.split(displacement, 2, axis=1)
+        burns = solve_burns(position, velocity, steps, max_control)
         u = np.swapaxes(burns.controls(T), 1, 2) * max_control
-        is_reachable, rest = burns.is_reachable.all(axis=1), ~burns.is_certified.all(axis=1)
+        is_reachable = np.asarray(burns.is_reachable.all(axis=1))
+        rest = np.asarray(~burns.is_certified.all(axis=1))
         if rest.any():
             own = displacement[rest], max_control, weight, count
             u[rest], is_reachable[rest] = _solve_by_simplex(steps, *own)

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from problems.alignment import align
 from sato.formation.assignment import assign_points, compute_cost_matrix, observe_neighbors
-from sato.formation.kernel import FormationState, Roles
+from sato.formation.control_step import FormationState, Roles
 from sato.formation.leg import FormationLeg, SparseGraph
 from sato.formation.mission import Formation
 from sato.formation.settings import AssignmentSettings, FrameSettings

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from scipy.spatial import cKDTree
 
+from dynamics.trajectory_geometry import sampled_separations
 from sato.check.report import Promise, expect_none, expect_small_error
 from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
@@ -89,21 +91,28 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
         position: Positions at each instant [m].
         alive: True for agents that take part.
     """
-    best = ClosestPair(np.inf, -1, (-1, -1))
     # The last instant is repeated, so that it counts where there is no other.
     way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
-    for i in range(1, position.shape[1]):
-        gap, both = way[:, i : i + 1] - way[:, :i], alive[:, i : i + 1] & alive[:, :i]
-        start, change = gap[:-1], np.where(both[1:, :, None], np.diff(gap, axis=0), 0.0)
-        far = (change**2).sum(axis=2)
-        share = -(start * change).sum(axis=2) / np.where(far > 0, far, 1.0)
-        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * change
-        square = np.where(both[:-1], (nearest**2).sum(axis=2), np.inf)
-        k, j = (int(n) for n in np.unravel_index(square.argmin(), square.shape))
-        distance = float(np.sqrt(square[k, j]))
-        if distance < best.distance:
-            best = ClosestPair(distance, k, (j, i))
-    return best
+    change = np.where((alive[1:] & alive[:-1])[..., None], np.diff(way, axis=0), 0.0)
+    bound = float(sampled_separations(position, alive[:-1]).min(initial=np.inf))
+    if not bound < np.inf:
+        return ClosestPair(np.inf, -1, (-1, -1))
+    middle, half = way[:-1] + change / 2, np.linalg.norm(change, axis=2) / 2
+    found = []
+    for k, here in enumerate(alive[:-1]):
+        # An agent stays in the ball about the middle of its way.
+        agents = np.flatnonzero(here & np.isfinite(middle[k]).all(axis=1))
+        radius = (bound + 2 * half[k, agents].max(initial=0.0)) * (1 + 1e-12)
+        pairs = agents[cKDTree(middle[k, agents]).query_pairs(radius, output_type="ndarray")]
+        found.append(np.column_stack([np.full(len(pairs), k), pairs]))
+    k, i, j = np.concatenate(found).T
+    gap, turn = way[k, j] - way[k, i], change[k, j] - change[k, i]
+    turn[~(alive[k + 1, i] & alive[k + 1, j])] = 0.0
+    far = (turn**2).sum(axis=1)
+    share = -(gap * turn).sum(axis=1) / np.where(far > 0, far, 1.0)
+    distance = np.linalg.norm(gap + np.clip(share, 0.0, 1.0)[:, None] * turn, axis=1)
+    best = int(distance.argmin())
+    return ClosestPair(float(distance[best]), int(k[best]), (int(i[best]), int(j[best])))
 
 
 def common_summary(attributes: Mapping[str, Any], alive: Alive) -> dict[str, Any]:

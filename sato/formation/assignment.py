@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from problems.alignment import align
 from problems.assignment import solve_assignment
 from sato.auctions import CbaaAuction, VsdaaAuction, run_cbaa, run_vsdaa
-from sato.formation.kernel import FormationState, Roles
+from sato.formation.control_step import FormationState, Roles
 from sato.formation.mission import Formation
 from sato.formation.settings import CoordinateFrames
 from sato.network.graph import CommunicationGraph

@@ -16,6 +16,35 @@ HALVINGS = 3  # of the time for which others are to be passed
 
 
 @numba.njit(cache=True)
+def avoid_all(u, v, others, start, keep_out, rules, max_speed, most, planes, changed):
+    """Let every agent avoid those that it tracks, by `avoid_collisions`, and while it turns too.
+
+    Args:
+        u: Wanted velocities, (agents, ≥ 2), changed in place [m/s].
+        v: Velocities flown, (agents, 2) [m/s].
+        others: Relative positions and velocities of the others, (pairs, 4) [m, m/s].
+        start: First pair of each agent, (agents + 1,).
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        max_speed: Largest speed [m/s].
+        most: Largest change of a velocity in a step [m/s].
+        planes: Buffer for half-planes, (≥ 2 agents + 8, 3).
+        changed: Written: True where the velocity was changed.
+    """
+    w = np.empty(2)
+    for i in range(len(u)):
+        near, count = others[start[i] : start[i + 1]], start[i + 1] - start[i]
+        changed[i] = avoid_collisions(u[i], v[i], near, count, keep_out, rules, max_speed, planes)
+        # While the velocity turns, others must not be approached too fast either.
+        x, y = u[i, 0] - v[i, 0], u[i, 1] - v[i, 1]
+        change = sqrt(x * x + y * y)
+        share = most / change if change > most else 1.0
+        w[0], w[1] = v[i, 0] + share * x, v[i, 1] + share * y
+        if limit_approach(w, near, count, keep_out, rules, planes):
+            u[i, 0], u[i, 1] = w[0], w[1]
+
+
+@numba.njit(cache=True)
 def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     """Replace a velocity by the closest one with which the agent passes all others.
 
@@ -45,7 +74,8 @@ def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     heading = atan2(y, x) if x != 0 or y != 0 else atan2(others[0, 1], others[0, 0])
     for k in range(SPEED_SIDES):
         angle = heading + 2 * pi * k / SPEED_SIDES
-        planes[rows - 1 - k] = cos(angle), sin(angle), max_speed
+        plane = planes[rows - 1 - k]
+        plane[0], plane[1], plane[2] = cos(angle), sin(angle), max_speed
     for halved in range(HALVINGS + 1):
         for k in range(count):
             _share_avoidance(v, others[k], keep_out + rules.margin, horizon, planes[count + k])
@@ -108,12 +138,12 @@ def limit_approach(u, others, count, keep_out, rules, planes):
 def _bound_approach(others, count, keep_out, rules, least, planes):
     # Directions towards the others, and the largest speed in each.
     for k in range(count):
-        x, y = others[k, 0], others[k, 1]
+        x, y, plane = others[k, 0], others[k, 1], planes[k]
         d = sqrt(x**2 + y**2)
+        plane[0], plane[1], plane[2] = 1.0, 0.0, np.inf
         if 0 < d < rules.avoidance_range:
-            planes[k] = x / d, y / d, max(least, max_approach_speed(d, keep_out, rules))
-        else:
-            planes[k] = 1.0, 0.0, np.inf
+            most = max(least, max_approach_speed(d, keep_out, rules))
+            plane[0], plane[1], plane[2] = x / d, y / d, most
 
 
 @numba.njit(cache=True)
@@ -160,12 +190,12 @@ def _project(u_x, u_y, planes, rows):
     # closest lies on its edge, in the interval that the earlier ones leave there.
     x, y = u_x, u_y
     for k in range(rows):
-        n_x, n_y, bound = planes[k]
+        n_x, n_y, bound = planes[k, 0], planes[k, 1], planes[k, 2]
         if x * n_x + y * n_y <= bound:
             continue
         low, high = -np.inf, np.inf
         for i in range(k):
-            m_x, m_y, limit = planes[i]
+            m_x, m_y, limit = planes[i, 0], planes[i, 1], planes[i, 2]
             across = m_y * n_x - m_x * n_y
             room = limit - bound * (m_x * n_x + m_y * n_y)
             if across > 1e-12:

@@ -1,19 +1,18 @@
-"""Control law of one agent: its velocity command from the positions of its neighbors.
+"""Control law: the velocity command of each agent from the positions of its neighbors.
 
-An agent uses a frame of its own, its own rows of the gains and the formation, and the
-positions of its neighbors relative to itself. The gains commute with rotations about the
-vertical, so the result does not depend on the frame [Lusk2020, Sec. III-A].
+Agents are computed side by side, a row each. An agent uses a frame of its own, its own rows of the
+gains and the formation, and the positions of its neighbors relative to itself. The gains commute
+with rotations about the vertical, so the result does not depend on the frame [Lusk2020, Sec. III-A].
 """
 
-from math import atan, sqrt
 from typing import NamedTuple
 
-import numba
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
+from sato.formation.settings import ControlLaw
 
 # Size control of [Lusk2020]'s code, in the plane and vertical: K1 [1/s], K2 [1/m], and the
 # error up to which it does nothing [m].
@@ -42,9 +41,15 @@ class FormationData(NamedTuple):
         return cls(gains.xy, gains.z, gains.formation.points, neighbors, weights)
 
 
-@numba.njit(cache=True)
-def compute_velocity_command(me, relative, neighbors, formation, law, legacy, command):
-    """Compute the velocity command of an agent, in the frame of the relative positions.
+def compute_velocity_commands(
+    me: Int[Array, " k"],
+    relative: Float[Array, "k most 3"],
+    is_known: Bool[Array, "k most"],
+    formation: FormationData,
+    law: ControlLaw,
+    legacy: bool,
+) -> Float[Array, "k 3"]:
+    """Compute the velocity commands of agents, each in the frame of its relative positions [m/s].
 
     In the plane it is Σ_j (A_ij + f_ij) q_ij with the size control f_ij. The vertical part is
     alike where the mirror image will do, with a size control of |q_ij|; upright, it is
@@ -53,44 +58,42 @@ def compute_velocity_command(me, relative, neighbors, formation, law, legacy, co
     decreases where commands are scaled, or turned by less than 90° [Lusk2020, Sec. III-C].
 
     Args:
-        me: Index of the point that the agent holds.
-        relative: Relative position of the holder of each point, (points, 3) [m].
-        neighbors: Indices of the neighboring points.
-        formation: Formation with its gains, a `FormationData`.
-        law: Numbers of the law, a `ControlLaw`.
+        me: Index of the point that each agent holds.
+        relative: Position of the holder of each neighboring point, relative to the agent [m].
+        is_known: True where there is such a neighbor, and it was heard.
+        formation: Formation with its gains.
+        law: Numbers of the law.
         legacy: True for the size control of the paper's code.
-        command: Buffer for the velocity command, (3,) [m/s].
     """
-    gain_xy, gain_z = formation.gains_xy[me], formation.gains_z[me]
-    points, weight = formation.points, formation.size_weights[me]
-    x, y, z = 0.0, 0.0, 0.0
-    for j in neighbors:
-        q_x, q_y, q_z = relative[j, 0], relative[j, 1], relative[j, 2]
-        p_x, p_y = points[j, 0] - points[me, 0], points[j, 1] - points[me, 1]
-        p_z = points[j, 2] - points[me, 2]
-        a, b, c = gain_xy[j].real, gain_xy[j].imag, gain_z[j]
-        near, far = sqrt(q_x * q_x + q_y * q_y), sqrt(p_x * p_x + p_y * p_y)
-        if legacy:
-            f = _legacy_size_gain(near - far, LEGACY_GAIN_XY, LEGACY_SLOPE_XY, LEGACY_DEADBAND_XY)
-            error = abs(q_z) - abs(p_z)
-            g = _legacy_size_gain(error, LEGACY_GAIN_Z, LEGACY_SLOPE_Z, LEGACY_DEADBAND_Z)
-        else:
-            f = law.size_rate * weight[j] * _relative_error(near, far)
-            error = 1.0 if law.upright else _relative_error(abs(q_z), abs(p_z))
-            g = law.size_rate * weight[j] * error
-        x += (a + f) * q_x - b * q_y
-        y += b * q_x + (a + f) * q_y
-        z += (c + g) * q_z - (g * p_z if law.upright else 0.0)
-    command[0], command[1], command[2] = law.gain * x, law.gain * y, law.gain * z
+    own, points = me[:, None], formation.points
+    j = formation.neighbors[me]
+    q = np.where(is_known, relative[..., 0] + 1j * relative[..., 1], 0.0)
+    q_z = np.where(is_known, relative[..., 2], 0.0)
+    p = points[j] - points[own]
+    p_z, far = p[..., 2], np.hypot(p[..., 0], p[..., 1])
+    near, weight = np.abs(q), formation.size_weights[own, j]
+    if legacy:
+        f = _legacy_size_gain(near - far, LEGACY_GAIN_XY, LEGACY_SLOPE_XY, LEGACY_DEADBAND_XY)
+        error = np.abs(q_z) - np.abs(p_z)
+        g = _legacy_size_gain(error, LEGACY_GAIN_Z, LEGACY_SLOPE_Z, LEGACY_DEADBAND_Z)
+    else:
+        f = law.size_rate * weight * _relative_error(near, far)
+        g = law.size_rate * weight
+        if not law.upright:
+            g = g * _relative_error(np.abs(q_z), np.abs(p_z))
+    flat = ((formation.gains_xy[own, j] + f) * q).sum(axis=1)
+    vertical = (formation.gains_z[own, j] + g) * q_z
+    if law.upright:
+        vertical -= np.where(is_known, g * p_z, 0.0)
+    command = np.stack([flat.real, flat.imag, vertical.sum(axis=1)], axis=1)
+    return np.asarray(law.gain * command)
 
 
-@numba.njit(cache=True)
-def _relative_error(actual, desired):
+def _relative_error(actual: Array, desired: Array) -> Array:
     # From −1, where the length is zero, to 1, where it is far too large.
-    most = max(actual, desired)
-    return (actual - desired) / most if most > 0 else 0.0
+    most = np.maximum(actual, desired)
+    return np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0)
 
 
-@numba.njit(cache=True)
-def _legacy_size_gain(error, gain, slope, deadband):
-    return gain * atan(slope * error) if abs(error) > deadband else 0.0
+def _legacy_size_gain(error: Array, gain: float, slope: float, deadband: float) -> Array:
+    return np.where(np.abs(error) > deadband, gain * np.arctan(slope * error), 0.0)

@@ -8,7 +8,7 @@ from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from sato.formation.assignment import AssignmentResult, assign_points
-from sato.formation.kernel import FormationState, KernelParameters, Roles, simulate_steps
+from sato.formation.control_step import FormationState, Roles, StepParameters, simulate_steps
 from sato.formation.mission import Formation
 from sato.formation.supervisor import FlightCourse, Phase, find_blocked
 from sato.interfaces import Alive, Component, Events, Indices, Position, Time, Vectors, Velocity
@@ -55,7 +55,7 @@ class _Simulation(FlightCourse):
         holder = np.tile(points, (len(points), 1))
         self.outcome = AssignmentResult(points, holder, rounds=0)  # of the last auction
         self.roles = Roles(points, holder, np.full(len(points), False), -1, np.zeros(3))
-        self.parameters = KernelParameters.for_leg(self.mission, self.leg)
+        self.parameters = StepParameters.for_leg(self.mission, self.leg)
         self.auction_count = 0
         self.state.begin_way(points)
 

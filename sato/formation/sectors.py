@@ -11,6 +11,24 @@ import numpy as np
 
 
 @numba.njit(cache=True)
+def leave_all(u, others, start, keep_out, rules, changed):
+    """Turn the velocities of all agents, by `leave_sectors`.
+
+    Args:
+        u: Velocities, (agents, 3), changed in place [m/s].
+        others: Relative positions of the others, (pairs, 2) [m].
+        start: First pair of each agent, (agents + 1,).
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        changed: Written: True where the velocity was changed.
+    """
+    buffer = np.empty((len(u), 2))
+    for i in range(len(u)):
+        near, count = others[start[i] : start[i + 1]], start[i + 1] - start[i]
+        changed[i] = leave_sectors(u[i], near, count, keep_out, rules, buffer)
+
+
+@numba.njit(cache=True)
 def leave_sectors(u, others, count, keep_out, rules, buffer):
     """Turn a velocity, or stop it, so that it points at no other agent.
 
@@ -35,7 +53,7 @@ def leave_sectors(u, others, count, keep_out, rules, buffer):
     if abs(turn) <= pi / 2 + 1e-9 and speed > 0:
         u[0], u[1] = speed * cos(heading + turn), speed * sin(heading + turn)
     else:
-        u[:] = 0.0
+        u[0] = u[1] = 0.0
     return True
 
 

@@ -1,10 +1,17 @@
 """Sensors and messages of the agents: own positions, those of neighbors, and those nearby.
 
-Compiled functions of one agent or of all; they alone read the true state, for their measurements.
+Agents are computed side by side, a row each. These functions alone read the true state, for their
+measurements.
 """
 
-import numba
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
+from jaxtyping import Bool, Complex, Float, Int
+from numpy import ndarray as Array
+
+if TYPE_CHECKING:
+    from sato.formation.control_step import FormationState, Roles, StepParameters
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
@@ -28,129 +35,120 @@ def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple
     return 1 - root**2, min(1.0, 2 * (1 + root**2) - 4 * root)
 
 
-@numba.njit
-def measure_own_position(state, swarm, rng):
+def measure_own_positions(
+    state: "FormationState", swarm: "StepParameters", rng: np.random.Generator
+) -> None:
     """Measure each agent's position in its own frame, with odometry drift and noise."""
     frames, measured = swarm.coordinate_frames, state.measured_position
     offset = state.position - frames.origin
-    flat = (offset[:, 0] + 1j * offset[:, 1]) * np.conj(frames.rotation)
-    measured[:, 0], measured[:, 1], measured[:, 2] = flat.real, flat.imag, offset[:, 2]
+    measured[:, :2] = as_pairs(as_complex(offset) * np.conj(frames.rotation))
+    measured[:, 2] = offset[:, 2]
     measured += state.drift
     if swarm.noise > 0:
         measured += swarm.noise * rng.standard_normal(measured.shape)
 
 
-@numba.njit
-def exchange_positions(state, roles, swarm, message, rng):
+def exchange_positions(
+    state: "FormationState",
+    roles: "Roles",
+    swarm: "StepParameters",
+    message: int,
+    rng: np.random.Generator,
+) -> None:
     """Send each agent's position to the agents that hold the neighboring points."""
     ring = len(state.sent)
     state.sent[message % ring] = state.measured_position
     arriving = state.sent[(message - swarm.message_delay) % ring]
-    for i in range(len(state.position)):
-        for point in swarm.formation.neighbors[roles.assignment[i]]:
-            if point < 0:
-                break
-            if swarm.message_loss == 0 or rng.random() >= swarm.message_loss:
-                j = roles.holder[i, point]
-                state.received[i, j] = arriving[j]
+    holder, is_neighbor = roles.find_neighbors(swarm.formation)
+    if swarm.message_loss > 0:
+        is_neighbor &= rng.random(is_neighbor.shape) >= swarm.message_loss
+    i, _ = np.nonzero(is_neighbor)
+    j = holder[is_neighbor]
+    state.received[i, j] = arriving[j]
 
 
-@numba.njit
-def locate_neighbors(i, state, roles, swarm, relative, near):
-    """Locate the holders of neighboring points relative to agent i, in its own frame.
+def locate_neighbors(
+    state: "FormationState", roles: "Roles", swarm: "StepParameters"
+) -> tuple[Float[Array, "agents most 3"], Bool[Array, "agents most"]]:
+    """Locate the holders of neighboring points relative to each agent, in its own frame.
 
     Their own estimates are used, and the poses of their frames in its own, which it knows.
 
     Returns:
-        Number of neighbors heard; the first so many of `near` are their points.
+        Relative positions, and True where there is a neighbor that was heard.
     """
-    frames, own_position, k = swarm.coordinate_frames, state.measured_position[i], 0
-    own = np.conj(frames.rotation[i])
-    for point in swarm.formation.neighbors[roles.assignment[i]]:
-        if point < 0:
-            break
-        j = roles.holder[i, point]
-        heard = state.received[i, j]
-        if j == i or np.isnan(heard[0]):
-            continue
-        o_x = frames.origin[j, 0] - frames.origin[i, 0]
-        o_y = frames.origin[j, 1] - frames.origin[i, 1]
-        flat = own * (frames.rotation[j] * complex(heard[0], heard[1]) + complex(o_x, o_y))
-        relative[point, 0] = flat.real - own_position[0]
-        relative[point, 1] = flat.imag - own_position[1]
-        relative[point, 2] = heard[2] + frames.origin[j, 2] - frames.origin[i, 2] - own_position[2]
-        near[k] = point
-        k += 1
-    return k
+    frames, own = swarm.coordinate_frames, np.arange(len(state.position))[:, None]
+    j, is_neighbor = roles.find_neighbors(swarm.formation)
+    heard, apart = state.received[own, j], frames.origin[j] - frames.origin[:, None]
+    flat = frames.rotation[j] * as_complex(heard) + as_complex(apart)
+    relative = np.empty_like(heard)
+    relative[..., :2] = as_pairs(np.conj(frames.rotation)[:, None] * flat)
+    relative[..., 2] = heard[..., 2] + apart[..., 2]
+    relative -= state.measured_position[:, None]
+    return relative, is_neighbor & (j != own) & ~np.isnan(heard[..., 0])
 
 
-@numba.njit
-def _is_in_range(i, j, state, swarm):
-    """Tell whether agent i senses agent j."""
-    x = state.position[j, 0] - state.position[i, 0]
-    y = state.position[j, 1] - state.position[i, 1]
-    reach = swarm.avoidance.avoidance_range
-    return j != i and x * x + y * y < reach * reach
+class Nearby(NamedTuple):
+    """Agents within range of others, those of one agent after those of another."""
+
+    i: Int[Array, " pairs"]  # agent
+    j: Int[Array, " pairs"]  # the other, which it senses
+    start: Int[Array, " agents+1"]  # first pair of each agent
+    measured: Float[Array, "pairs 2"]  # position of j relative to i, in the frame of i [m]
 
 
-@numba.njit
-def _measure_relative(i, j, state, swarm, measured, rng):
-    """Measure agent j relative to agent i, in its own frame; odometry does not matter here."""
-    x = state.position[j, 0] - state.position[i, 0]
-    y = state.position[j, 1] - state.position[i, 1]
-    flat = np.conj(swarm.coordinate_frames.rotation[i]) * complex(x, y)
-    measured[0], measured[1] = flat.real, flat.imag
+def sense_nearby(
+    state: "FormationState", swarm: "StepParameters", rng: np.random.Generator
+) -> Nearby:
+    """Measure those within range of each agent, in its own frame; odometry does not matter here."""
+    flat = as_complex(state.position)
+    apart = flat - flat[:, None]
+    is_near = apart.real**2 + apart.imag**2 < swarm.avoidance.avoidance_range**2
+    np.fill_diagonal(is_near, False)
+    i, j = np.nonzero(is_near)
+    measured = as_pairs(np.conj(swarm.coordinate_frames.rotation)[i] * apart[i, j])
     if swarm.noise > 0:
-        measured[0] += swarm.noise * rng.standard_normal()
-        measured[1] += swarm.noise * rng.standard_normal()
+        measured = measured + swarm.noise * rng.standard_normal(measured.shape)
+    start = np.zeros(len(flat) + 1, dtype=np.int64)
+    np.cumsum(is_near.sum(axis=1), out=start[1:])
+    return Nearby(i, j, start, measured)
 
 
-@numba.njit
-def sense_nearby(i, state, swarm, others, rng):
-    """Measure the agents within range of agent i.
-
-    Returns:
-        Number of agents sensed; the first so many rows of `others` are their positions.
-    """
-    count = 0
-    for j in range(len(state.position)):
-        if _is_in_range(i, j, state, swarm):
-            _measure_relative(i, j, state, swarm, others[count], rng)
-            count += 1
-    return count
-
-
-@numba.njit
-def track_nearby(i, v, state, swarm, others, rng):
-    """Track the agents within range of agent i, in its own frame, by positions that it measures.
+def track_nearby(
+    state: "FormationState",
+    swarm: "StepParameters",
+    velocity: Float[Array, "agents 2"],
+    nearby: Nearby,
+) -> Float[Array, "pairs 4"]:
+    """Track those within range, by positions that each agent measures in its own frame.
 
     Args:
-        i: The agent.
-        v: Its own velocity, in its own frame [m/s].
-        state: A `FormationState`, whose tracks are changed in place.
-        swarm: Constants, `KernelParameters`.
-        others: Filled with relative positions and velocities of those within range.
-        rng: Generator for noise.
+        state: State, whose tracks are changed in place.
+        swarm: Constants.
+        velocity: Each agent's own velocity, in its own frame [m/s].
+        nearby: Those within range.
 
     Returns:
-        Number of agents within range.
+        Relative positions and velocities of those within range [m, m/s].
     """
-    on_position, on_velocity = swarm.track_gains
-    count, h = 0, swarm.step
-    for j in range(len(state.position)):
-        track, measured = state.tracks[i, j], others[count]
-        if not _is_in_range(i, j, state, swarm):
-            track[0] = np.nan
-            continue
-        _measure_relative(i, j, state, swarm, measured, rng)
-        is_new = np.isnan(track[0])
-        for a in range(2):
-            if is_new:
-                track[a], track[2 + a] = measured[a], 0.0
-                continue
-            predicted = track[a] + h * (track[2 + a] - v[a])
-            track[a] = predicted + on_position * (measured[a] - predicted)
-            track[2 + a] += on_velocity / h * (measured[a] - predicted)
-        others[count] = track
-        count += 1
-    return count
+    i, j, _, measured = nearby
+    (on_position, on_velocity), h = swarm.track_gains, swarm.step
+    position, speed = np.split(state.tracks[i, j], 2, axis=1)
+    predicted = position + h * (speed - velocity[i])
+    error = measured - predicted
+    track = np.hstack([predicted + on_position * error, speed + on_velocity / h * error])
+    is_new = np.isnan(position[:, 0])
+    track[is_new] = np.pad(measured[is_new], ((0, 0), (0, 2)))
+    state.tracks[:] = np.nan
+    state.tracks[i, j] = track
+    return track
+
+
+def as_complex(vectors: Float[Array, "*k axes"]) -> Complex[Array, "*k"]:
+    """Return the horizontal parts of vectors as complex numbers."""
+    return np.asarray(vectors[..., 0] + 1j * vectors[..., 1])
+
+
+def as_pairs(flat: Complex[Array, "*k"]) -> Float[Array, "*k 2"]:
+    """Return complex numbers as pairs of coordinates."""
+    return np.stack([flat.real, flat.imag], axis=-1)

@@ -141,7 +141,9 @@ def push_apart(
     right[..., 1] = -along[..., 0]
     way = np.where(((miss < TOUCH * R) & ~is_slow)[..., None], right, way)
     size = np.where(apart < R, np.maximum(lacking, 0.0), 0.0)
-    return size[..., None] * way / np.maximum(np.linalg.norm(way, axis=2), TINY)[..., None]
+    return np.asarray(
+        size[..., None] * way / np.maximum(np.linalg.norm(way, axis=2), TINY)[..., None]
+    )
 
 
 def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[Array, "k d"]:

@@ -12,10 +12,10 @@ from scipy.spatial.distance import pdist, squareform
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
 from sato.formation.control_law import FormationData
-from sato.formation.kernel import (
+from sato.formation.control_step import (
     FormationState,
-    KernelParameters,
     Roles,
+    StepParameters,
     simulate_steps,
 )
 from sato.formation.sensing import compute_track_gains
@@ -45,7 +45,7 @@ def frames(agents=8, offset=10.0, drift=0.01, seed=None):
 
 def swarm(frames, data=None, **changes):
     """Constants of a swarm of eight without noise, loss and delay, but for the changes."""
-    return KernelParameters(
+    return StepParameters(
         FormationData.from_gains(gains()) if data is None else data,
         frames,
         ControlLaw(),
