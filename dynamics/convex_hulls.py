@@ -94,7 +94,7 @@ def are_outside(
     if is_exact:
         near = ~outside
         outside[near] = min_norm_points(points[near])[0] >= radius[near]
-    return outside
+    return np.asarray(outside)
 
 
 def body_distances(

@@ -2,7 +2,8 @@
 
 Agents are computed side by side, a row each. An agent uses a frame of its own, its own rows of the
 gains and the formation, and the positions of its neighbors relative to itself. The gains commute
-with rotations about the vertical, so the result does not depend on the frame [Lusk2020, Sec. III-A].
+with rotations about the vertical, so the result does not depend on the frame
+[Lusk2020, Sec. III-A].
 """
 
 from typing import NamedTuple
@@ -92,7 +93,8 @@ def compute_velocity_commands(
 def _relative_error(actual: Array, desired: Array) -> Array:
     # From −1, where the length is zero, to 1, where it is far too large.
     most = np.maximum(actual, desired)
-    return np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0)
+    error = np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0)
+    return np.asarray(error)
 
 
 def _legacy_size_gain(error: Array, gain: float, slope: float, deadband: float) -> Array:
