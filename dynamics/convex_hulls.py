@@ -5,6 +5,7 @@ nearest corner, or is orthogonal to an edge or to a face. n·b_i ≥ distance ho
 found, so that no distance is above the true one, in spite of rounding.
 """
 
+from functools import reduce
 from itertools import combinations
 
 import numpy as np
@@ -87,9 +88,10 @@ def are_outside(
         radius: Radius of the circle.
         is_exact: True where hulls are to be compared, False for balls about their means.
     """
-    middle = points.mean(axis=1)
-    away = points - middle[:, None]
-    extent = np.sqrt(np.einsum("qkd,qkd->qk", away, away).max(axis=1, initial=0.0))
+    corners = np.moveaxis(points, 1, 0)  # one by one: sums over a short axis take longer
+    middle = reduce(np.add, corners) / len(corners)
+    squares = (np.einsum("qd,qd->q", away, away) for away in corners - middle)
+    extent = np.sqrt(reduce(np.maximum, squares))
     outside = np.sqrt(np.einsum("qd,qd->q", middle, middle)) - extent >= radius
     if is_exact:
         near = ~outside

@@ -100,20 +100,24 @@ class AvoidanceHorizon:
         self, x: StateSamples, u: ControlSamples
     ) -> Float[Array, "*agents pieces 4 d"]:
         """Compute the control points over the horizon; after its last control an agent coasts."""
-        P, Q, r = self.control_point_maps
-        T = min(u.shape[-2], self.steps)
+        T, pieces, d = min(u.shape[-2], self.steps), len(self.fine_model), u.shape[-1]
         rest = self.steps - T
         still = np.zeros((*u.shape[:-2], rest, u.shape[-1]))
         after = self.discrete_model[T:].simulate(x[..., T, :], still)
         X = np.concatenate([x[..., :T, :], after[..., :-1, :]], axis=-2)
         U = np.concatenate([u[..., :T, :], still], axis=-2)
-        on_x, on_u = (
-            np.einsum("ksidn,...kn->...ksid", P, X),
-            np.einsum("ksidm,...km->...ksid", Q, U),
-        )
-        points = on_x + on_u + r
-        pieces = len(self.fine_model)
-        return np.asarray(points).reshape(*points.shape[:-4], pieces, 4, self.discrete_model.axes)
+        on_both, constant = self._stacked_maps
+        # A product of matrices for each step is far faster than the sum of `np.einsum`.
+        both = np.concatenate([X, U], axis=-1).reshape(-1, self.steps, X.shape[-1] + d)
+        points = np.moveaxis(np.moveaxis(both, 1, 0) @ on_both, 0, 1) + constant
+        return points.reshape(*u.shape[:-2], pieces, 4, d)
+
+    @cached_property
+    def _stacked_maps(self) -> tuple[Array, Array]:
+        """P and Q side by side, transposed, and r, of all control points of each step."""
+        maps = self.control_point_maps
+        P, Q, r = (part.reshape(self.steps, -1, *part.shape[4:]) for part in maps)
+        return np.ascontiguousarray(np.concatenate([P, Q], axis=2).swapaxes(1, 2)), r
 
 
 def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
@@ -210,10 +214,10 @@ def enclosing_balls(
     paths: Float[Array, "k *points d"],
 ) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:
     """Return the center and the radius of a ball about all points of each path [m]."""
-    axes = np.ascontiguousarray(paths.reshape(len(paths), -1, paths.shape[-1]).transpose(0, 2, 1))
-    middle = axes.mean(axis=2)
-    squares = ((axes - middle[..., None]) ** 2).sum(axis=1)
-    return middle, np.sqrt(squares.max(axis=1))
+    axes = np.moveaxis(paths.reshape(len(paths), -1, paths.shape[-1]), 2, 0)  # one by one: faster
+    middle = [axis.mean(axis=1) for axis in axes]
+    squares = sum((axis - own[:, None]) ** 2 for axis, own in zip(axes, middle, strict=True))
+    return np.stack(middle, axis=1), np.sqrt(np.max(squares, axis=1))
 
 
 def convexify(
