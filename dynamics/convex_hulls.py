@@ -41,7 +41,7 @@ def _best_normals(b: Float[Array, "hulls k d"]) -> tuple[Array, Array]:
     distance, normal = _support(b, b[np.arange(len(b)), corner][:, None])
     enough = np.sqrt(square.min(axis=1)) * (1 - ROUNDING)
     rest = np.flatnonzero((distance < enough) & (square.max(axis=1) < np.inf))
-    for order in range(2, b.shape[2] + 1):  # corners of an edge, of a face
+    for order in range(2, min(b.shape[1:]) + 1):  # corners of an edge, of a face
         own = b[rest]
         value, found = _support(own, _normals_to(own, order))
         better = value > distance[rest]

@@ -11,9 +11,10 @@ B would bid in the next round, and the first agent would hear that too, in time.
 
 The rounds of all agents are compiled. What an agent knows only grows, in the order of bids, and
 news travels one hop a round. So the bids known to agent i after round r are the merge of all bids
-that an agent a placed in a round t with t + hops(a, i) ≤ r. No tables are passed around: a bid is
-delivered to each agent once, in the round in which it arrives there. Tests compare the
-rounds with those of `VsdaaBidder`, one agent with its memory and inbox.
+that an agent a placed in a round t with t + hops(a, i) ≤ r. No tables are passed around: an agent
+merges what has arrived when a bid on its own target arrives, since nothing else makes it act, and
+at the end. Tests compare the rounds with those of `VsdaaBidder`, one agent with its memory and
+inbox.
 """
 
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
@@ -29,6 +30,8 @@ from sato.network.graph import CommunicationGraph
 
 NO_WINNER = -1  # winner of a target without a standing bid
 ANONYMOUS = 0  # winner of every standing bid where bids carry no number
+FAR = 2**30  # hops between two components
+MIN_EVENTS = 100_000  # for which there is room in the log
 DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
@@ -131,9 +134,8 @@ class VsdaaState(NamedTuple):
     """Memory of all agents in an auction, changed in place from round to round."""
 
     cost: Float[Array, "agents targets"]
-    alive: Array
-    by_hops: Int[Array, "agents agents"]  # all agents, in order of their hops from each agent
-    hop_start: Int[Array, "agents reach"]  # index in `by_hops` of the first agent d hops away
+    alive: Bool[Array, " agents"]
+    hops: Int[Array, "agents agents"]  # FAR between components
     patience: Int[Array, " agents"]
     price: Float[Array, "agents targets"]
     winner: Int[Array, "agents targets"]
@@ -145,11 +147,19 @@ class VsdaaState(NamedTuple):
     last_news_round: Int[Array, " agents"]  # round of the last bid or news
     last_bid_round: Int[Array, " agents"]
     bid_count: Int[Array, " agents"]
+    merged_round: Int[Array, " agents"]  # up to which an agent has merged what arrived
+    merged_event: Int[Array, " agents"]  # first event that it may not have merged
+    has_news: Bool[Array, " agents"]  # True where a bid on the agent's target arrives
+    first_holder: Int[Array, " targets"]  # of the agents that hold a target, −1 none
+    next_holder: Int[Array, " agents"]  # of the same target, −1 none
+    arrival: Int[Array, " targets"]  # scratch: round in which news of a target arrived, −1 none
+    changed: Int[Array, " targets"]  # scratch: targets of which there are news
     round: Int[Array, " 1"]
+    turn: Int[Array, " 1"]  # agent that acts next in this round; 0 before the round
 
 
 class BidLog(NamedTuple):
-    """Bids that have not yet reached all agents: one event an agent and round."""
+    """Bids that some agent may not have merged: one event an agent and round."""
 
     agent: Int[Array, " events"]
     round: Int[Array, " events"]
@@ -170,15 +180,11 @@ class BidLog(NamedTuple):
 def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
     """Initialize all agents, with the largest m of their component."""
     agents, targets = cost.shape
-    ints = [np.zeros(agents, dtype=np.int64) for _ in range(5)]
-    # Agents in other components are infinitely many hops away, and come last in `by_hops`.
-    distances = range(int(graph.diameter.max(initial=0)) + 2)
-    hop_start = np.stack([np.count_nonzero(graph.hops < d, axis=1) for d in distances], axis=1)
+    ints = [np.zeros(agents, dtype=np.int64) for _ in range(7)]
     return VsdaaState(
         cost=np.ascontiguousarray(cost, dtype=np.float64),
         alive=graph.alive,
-        by_hops=np.argsort(graph.hops, axis=1, kind="stable"),
-        hop_start=np.ascontiguousarray(hop_start),
+        hops=np.where(np.isfinite(graph.hops), graph.hops, FAR).astype(np.int32),
         patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
         winner=np.full((agents, targets), NO_WINNER),
@@ -190,7 +196,15 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         last_news_round=ints[2],
         last_bid_round=ints[3],
         bid_count=ints[4],
+        merged_round=ints[5],
+        merged_event=ints[6],
+        has_news=np.zeros(agents, dtype=bool),
+        first_holder=np.full(targets, -1),
+        next_holder=np.full(agents, -1),
+        arrival=np.full(targets, -1),
+        changed=np.zeros(targets, dtype=np.int64),
         round=np.zeros(1, dtype=np.int64),
+        turn=np.zeros(1, dtype=np.int64),
     )
 
 
@@ -203,89 +217,126 @@ def run_kernel(
         OutOfTargets: An agent found all targets taken.
     """
     agents, targets = state.cost.shape
-    most = agents * (targets + 1)  # entries in a round in which every agent adds a target
-    log = BidLog.empty(2 * agents, 2 * most)
+    log = BidLog.empty(MIN_EVENTS + agents, MIN_EVENTS + 2 * targets)
     while True:
-        before = int(state.round[0])
-        outcome = _advance(stride, float(epsilon), bidder_ids, state, log)
+        before, last_round = int(state.round[0]), int(state.round[0]) + stride
+        outcome = LOG_FULL
+        while outcome == LOG_FULL:
+            outcome = _advance(last_round, float(epsilon), bidder_ids, state, log)
+            if outcome == LOG_FULL:
+                log = _make_room(state, log)
         if outcome < 0:
             raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
         if state.round[0] > before:
             yield
         if outcome == DONE:
             return
-        if outcome == LOG_FULL:
-            log = _grow_log(log, agents, most)
 
 
-def _grow_log(log: BidLog, agents: int, most: int) -> BidLog:
-    # Drop the events that have reached all agents, and double the log where that is not enough.
+def _make_room(state: VsdaaState, log: BidLog) -> BidLog:
+    """Drop the events that all agents have merged, and double the log where that is not enough."""
     first, end = log.size
     begin, stop = log.start[first], log.start[end]
-    events = max(len(log.agent), 2 * (end - first + agents))
-    entries = max(len(log.target), 2 * (stop - begin + most))
-    grown = BidLog.empty(int(events), int(entries))
-    grown.agent[: end - first] = log.agent[first:end]
-    grown.round[: end - first] = log.round[first:end]
-    grown.start[: end - first + 1] = log.start[first : end + 1] - begin
-    for new, old in zip(grown[3:6], log[3:6], strict=True):
+    events, entries = len(log.agent), len(log.target)
+    events = events if 2 * (end - first) < events else 2 * events
+    entries = entries if 2 * (stop - begin) < entries else 2 * entries
+    room = BidLog.empty(events, entries)
+    room.agent[: end - first] = log.agent[first:end]
+    room.round[: end - first] = log.round[first:end]
+    room.start[: end - first + 1] = log.start[first : end + 1] - begin
+    for new, old in zip(room[3:6], log[3:6], strict=True):
         new[: stop - begin] = old[begin:stop]
-    grown.size[1] = end - first
-    return grown
+    room.size[1] = end - first
+    state.merged_event[:] = np.maximum(state.merged_event - first, 0)
+    return room
 
 
 @njit(cache=True)
 @no_type_check
-def _advance(stride, epsilon, bidder_ids, s, log):
+def _advance(last_round, epsilon, bidder_ids, s, log):
     agents, targets = s.cost.shape
     # Local names, since numba counts references to every array of a tuple that is passed on.
-    alive, target, sent, last = s.alive, s.target_index, s.sent_price, s.last_news_round
-    for _ in range(stride):
-        end = log.size[1]
-        if end + agents > len(log.agent) or log.start[end] + agents * (targets + 1) > len(
-            log.target
-        ):
-            return LOG_FULL
-        s.round[0] += 1
-        _deliver(s, log)
+    alive, target, sent, has_news = s.alive, s.target_index, s.sent_price, s.has_news
+    outcome = RUNNING
+    while outcome == RUNNING and (s.turn[0] > 0 or s.round[0] < last_round):
+        if s.turn[0] == 0:
+            s.round[0] += 1
+            _announce(s, log)
         is_active = False
-        for i in range(agents):
-            # Skip an agent without news: its quiet rounds are this round less its last news.
-            j = target[i]
-            if not alive[i] or (j >= 0 and last[i] != s.round[0] and sent[i] >= 0):
-                continue
-            if j < 0 or (s.winner[i, j] != i if bidder_ids else abs(s.price[i, j]) > sent[i]):
-                if not _place_bid(i, epsilon, bidder_ids, s, log):
+        for i in range(s.turn[0], agents):
+            if alive[i] and (has_news[i] or target[i] < 0 or sent[i] < 0):
+                end = log.size[1]
+                if end == len(log.agent) or log.start[end] + targets + 1 > len(log.target):
+                    s.turn[0], outcome = i, LOG_FULL
+                    break
+                has_news[i] = False
+                _merge(i, s, log)
+                j = target[i]
+                is_outbid = j < 0 or (
+                    s.winner[i, j] != i if bidder_ids else abs(s.price[i, j]) > sent[i]
+                )
+                if is_outbid and not _place_bid(i, epsilon, bidder_ids, s, log):
                     return -1 - i
-            else:
-                s.target_count[i] = max(s.target_count[i], s.price_count[i])
-            sent[i] = s.price[i, target[i]]
+                sent[i] = s.price[i, target[i]]
+        if outcome == LOG_FULL:
+            break
+        s.turn[0] = 0
+        for i in range(agents):
             is_active = is_active or sent[i] < 0
         if log.size[0] == log.size[1] and not is_active:
-            return DONE
-    return RUNNING
+            outcome = DONE
+    for i in range(agents):
+        _merge(i, s, log)
+    return outcome
 
 
 @njit(cache=True)
 @no_type_check
-def _deliver(s, log):
-    # A bid placed d rounds ago arrives d hops away from its bidder.
-    round, far = s.round[0], s.hop_start.shape[1] - 2
-    price, winner, last = s.price, s.winner, s.last_news_round
-    price_count, winner_count = s.price_count, s.winner_count
+def _announce(s, log):
+    # A bid placed d rounds ago arrives d hops away from its bidder: there it is news for those
+    # that hold its target.
+    round, far = s.round[0], s.patience.max() // 2
     while log.size[0] < log.size[1] and round - log.round[log.size[0]] > far:
         log.size[0] += 1
     for e in range(log.size[0], log.size[1]):
         a, d = log.agent[e], round - log.round[e]
-        for q in range(s.hop_start[a, d], s.hop_start[a, d + 1]):
-            i = s.by_hops[a, q]
-            for k in range(log.start[e], log.start[e + 1]):
-                j, p, w = log.target[k], log.price[k], log.winner[k]
-                size, own = abs(p), abs(price[i, j])
-                if size > own or (size == own and w < winner[i, j]):
-                    price_count[i] += price[i, j] == 0
-                    winner_count[i] += (w >= 0) - (winner[i, j] >= 0)
-                    price[i, j], winner[i, j], last[i] = p, w, round
+        for k in range(log.start[e], log.start[e + 1]):
+            i = s.first_holder[log.target[k]]
+            while i >= 0:
+                s.has_news[i] = s.has_news[i] or s.hops[i, a] == d
+                i = s.next_holder[i]
+
+
+@njit(cache=True)
+@no_type_check
+def _merge(i, s, log):
+    # What has arrived since the last time. News of a target are of the round in which the bid
+    # that stands now arrived first.
+    round, merged, count = s.round[0], s.merged_round[i], 0
+    price, winner, hops, arrival, changed = s.price[i], s.winner[i], s.hops[i], s.arrival, s.changed
+    for e in range(log.size[1] - 1, s.merged_event[i] - 1, -1):  # newest first: few change a price
+        at = log.round[e] + hops[log.agent[e]]
+        if at <= merged or at > round:
+            continue
+        for k in range(log.start[e], log.start[e + 1]):
+            j, p, w = log.target[k], log.price[k], log.winner[k]
+            size, own = abs(p), abs(price[j])
+            if size > own or (size == own and w < winner[j]):
+                s.price_count[i] += price[j] == 0
+                s.winner_count[i] += (w >= 0) - (winner[j] >= 0)
+                price[j], winner[j] = p, w
+                if arrival[j] < 0:
+                    changed[count] = j
+                    count += 1
+                arrival[j] = at
+            elif arrival[j] > at and p == price[j] and w == winner[j]:
+                arrival[j] = at
+    for c in range(count):
+        s.last_news_round[i] = max(s.last_news_round[i], arrival[changed[c]])
+        arrival[changed[c]] = -1
+    s.target_count[i] = max(s.target_count[i], s.price_count[i])
+    s.merged_round[i] = round
+    s.merged_event[i] = max(s.merged_event[i], log.size[0])
 
 
 @njit(cache=True)
@@ -321,7 +372,25 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
     log.target[k], log.price[k], log.winner[k] = best, price[best], winner[best]
     log.agent[e], log.round[e], log.start[e + 1] = i, s.round[0], k + 1
     log.size[1] += 1
-    s.target_count[i], s.target_index[i] = m, best
+    _hold(i, best, s)
+    s.target_count[i] = m
     s.last_news_round[i] = s.last_bid_round[i] = s.round[0]
     s.bid_count[i] += 1
     return True
+
+
+@njit(cache=True)
+@no_type_check
+def _hold(i, target, s):
+    # Moves an agent from the list of those that hold its target to that of another target.
+    before, at = s.target_index[i], -1
+    if before >= 0:
+        other = s.first_holder[before]
+        while other != i:
+            at, other = other, s.next_holder[other]
+        if at < 0:
+            s.first_holder[before] = s.next_holder[i]
+        else:
+            s.next_holder[at] = s.next_holder[i]
+    s.next_holder[i], s.first_holder[target] = s.first_holder[target], i
+    s.target_index[i] = target
