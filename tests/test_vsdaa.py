@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from messages import bid_by_messages
 
 from problems.assignment import solve_assignment
+from sato.auctions import vsdaa
 from sato.auctions.vsdaa import (
     NO_WINNER,
     OutOfTargets,
@@ -105,6 +106,25 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     ]
     assert all(auction.bidder_count[i] == last[i].bids.winner_count for i in last)
     assert auction.bid_count == sum(agent.bid_count for agent in last.values())
+    # Without a pause agents merge what arrives when they act alone.
+    for i, me in last.items():
+        assert auction.price[i].tobytes() == me.bids.price.tobytes()
+        assert auction.target_count[i] == me.target_count
+
+
+@settings(LAW, max_examples=100)
+@given(cases())
+def test_auctions_do_not_depend_on_the_room_for_bids(case):
+    found = []
+    for room in (0, 10**5):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(vsdaa, "MIN_ROOM", room)
+            try:
+                found.append(run_vsdaa(case))
+            except OutOfTargets as error:
+                found.append((error.agent, error.round))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def check_result(case: VsdaaAuction) -> None:

@@ -31,7 +31,7 @@ from sato.network.graph import CommunicationGraph
 NO_WINNER = -1  # winner of a target without a standing bid
 ANONYMOUS = 0  # winner of every standing bid where bids carry no number
 FAR = 2**30  # hops between two components
-MIN_EVENTS = 100_000  # for which there is room in the log
+MIN_ROOM = 100_000  # for bids in the log
 DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
@@ -136,6 +136,7 @@ class VsdaaState(NamedTuple):
     cost: Float[Array, "agents targets"]
     alive: Bool[Array, " agents"]
     hops: Int[Array, "agents agents"]  # FAR between components
+    far: Int[Array, " 1"]  # hops between the two that are farthest apart
     patience: Int[Array, " agents"]
     price: Float[Array, "agents targets"]
     winner: Int[Array, "agents targets"]
@@ -148,7 +149,7 @@ class VsdaaState(NamedTuple):
     last_bid_round: Int[Array, " agents"]
     bid_count: Int[Array, " agents"]
     merged_round: Int[Array, " agents"]  # up to which an agent has merged what arrived
-    merged_event: Int[Array, " agents"]  # first event that it may not have merged
+    merged_bid: Int[Array, " agents"]  # first bid in the log that it may not have merged
     has_news: Bool[Array, " agents"]  # True where a bid on the agent's target arrives
     first_holder: Int[Array, " targets"]  # of the agents that hold a target, −1 none
     next_holder: Int[Array, " agents"]  # of the same target, −1 none
@@ -159,22 +160,20 @@ class VsdaaState(NamedTuple):
 
 
 class BidLog(NamedTuple):
-    """Bids that some agent may not have merged: one event an agent and round."""
+    """Bids that some agent may not have merged, in the order in which they were placed."""
 
-    agent: Int[Array, " events"]
-    round: Int[Array, " events"]
-    start: Int[Array, " events"]  # first entry of the event; it ends where the next begins
-    target: Int[Array, " entries"]
-    price: Float[Array, " entries"]
-    winner: Int[Array, " entries"]
-    size: Int[Array, " 2"]  # first event on its way, number of events
+    agent: Int[Array, " room"]  # by which the bid was placed
+    round: Int[Array, " room"]
+    target: Int[Array, " room"]
+    winner: Int[Array, " room"]
+    price: Float[Array, " room"]
+    size: Int[Array, " 2"]  # first bid on its way, number of bids
 
     @classmethod
-    def empty(cls, events: int, entries: int) -> "BidLog":
-        """Allocate a log of this size."""
-        sizes = (events, events, events + 1, entries, entries, 2)
-        agent, round, start, target, winner, size = (np.zeros(n, dtype=np.int64) for n in sizes)
-        return cls(agent, round, start, target, np.zeros(entries), winner, size)
+    def empty(cls, room: int) -> "BidLog":
+        """Allocate a log for so many bids."""
+        small = (np.empty(room, dtype=np.int32) for _ in range(4))
+        return cls(*small, np.empty(room), np.zeros(2, dtype=np.int64))
 
 
 def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
@@ -185,6 +184,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         cost=np.ascontiguousarray(cost, dtype=np.float64),
         alive=graph.alive,
         hops=np.where(np.isfinite(graph.hops), graph.hops, FAR).astype(np.int32),
+        far=graph.diameter.max(initial=0, keepdims=True),
         patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
         winner=np.full((agents, targets), NO_WINNER),
@@ -197,7 +197,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         last_bid_round=ints[3],
         bid_count=ints[4],
         merged_round=ints[5],
-        merged_event=ints[6],
+        merged_bid=ints[6],
         has_news=np.zeros(agents, dtype=bool),
         first_holder=np.full(targets, -1),
         next_holder=np.full(agents, -1),
@@ -216,8 +216,8 @@ def run_kernel(
     Raises:
         OutOfTargets: An agent found all targets taken.
     """
-    agents, targets = state.cost.shape
-    log = BidLog.empty(MIN_EVENTS + agents, MIN_EVENTS + 2 * targets)
+    targets = state.cost.shape[1]
+    log = BidLog.empty(MIN_ROOM + 2 * targets)
     while True:
         before, last_round = int(state.round[0]), int(state.round[0]) + stride
         outcome = LOG_FULL
@@ -234,21 +234,15 @@ def run_kernel(
 
 
 def _make_room(state: VsdaaState, log: BidLog) -> BidLog:
-    """Drop the events that all agents have merged, and double the log where that is not enough."""
+    """Drop the bids that all agents have merged, and double the log where that is not enough."""
     first, end = log.size
-    begin, stop = log.start[first], log.start[end]
-    events, entries = len(log.agent), len(log.target)
-    events = events if 2 * (end - first) < events else 2 * events
-    entries = entries if 2 * (stop - begin) < entries else 2 * entries
-    room = BidLog.empty(events, entries)
-    room.agent[: end - first] = log.agent[first:end]
-    room.round[: end - first] = log.round[first:end]
-    room.start[: end - first + 1] = log.start[first : end + 1] - begin
-    for new, old in zip(room[3:6], log[3:6], strict=True):
-        new[: stop - begin] = old[begin:stop]
-    room.size[1] = end - first
-    state.merged_event[:] = np.maximum(state.merged_event - first, 0)
-    return room
+    room = len(log.agent)
+    wider = BidLog.empty(room if 2 * (end - first) < room else 2 * room)
+    for new, old in zip(wider[:5], log[:5], strict=True):
+        new[: end - first] = old[first:end]
+    wider.size[1] = end - first
+    state.merged_bid[:] = np.maximum(state.merged_bid - first, 0)
+    return wider
 
 
 @njit(cache=True)
@@ -265,8 +259,7 @@ def _advance(last_round, epsilon, bidder_ids, s, log):
         is_active = False
         for i in range(s.turn[0], agents):
             if alive[i] and (has_news[i] or target[i] < 0 or sent[i] < 0):
-                end = log.size[1]
-                if end == len(log.agent) or log.start[end] + targets + 1 > len(log.target):
+                if log.size[1] + targets + 1 > len(log.agent):
                     s.turn[0], outcome = i, LOG_FULL
                     break
                 has_news[i] = False
@@ -295,16 +288,14 @@ def _advance(last_round, epsilon, bidder_ids, s, log):
 def _announce(s, log):
     # A bid placed d rounds ago arrives d hops away from its bidder: there it is news for those
     # that hold its target.
-    round, far = s.round[0], s.patience.max() // 2
-    while log.size[0] < log.size[1] and round - log.round[log.size[0]] > far:
+    round = s.round[0]
+    while log.size[0] < log.size[1] and round - log.round[log.size[0]] > s.far[0]:
         log.size[0] += 1
-    for e in range(log.size[0], log.size[1]):
-        a, d = log.agent[e], round - log.round[e]
-        for k in range(log.start[e], log.start[e + 1]):
-            i = s.first_holder[log.target[k]]
-            while i >= 0:
-                s.has_news[i] = s.has_news[i] or s.hops[i, a] == d
-                i = s.next_holder[i]
+    for k in range(log.size[0], log.size[1]):
+        i, d = s.first_holder[log.target[k]], round - log.round[k]
+        while i >= 0:
+            s.has_news[i] = s.has_news[i] or s.hops[i, log.agent[k]] == d
+            i = s.next_holder[i]
 
 
 @njit(cache=True)
@@ -314,29 +305,28 @@ def _merge(i, s, log):
     # that stands now arrived first.
     round, merged, count = s.round[0], s.merged_round[i], 0
     price, winner, hops, arrival, changed = s.price[i], s.winner[i], s.hops[i], s.arrival, s.changed
-    for e in range(log.size[1] - 1, s.merged_event[i] - 1, -1):  # newest first: few change a price
-        at = log.round[e] + hops[log.agent[e]]
+    for k in range(log.size[1] - 1, s.merged_bid[i] - 1, -1):  # newest first: few change a price
+        at = log.round[k] + hops[log.agent[k]]
         if at <= merged or at > round:
             continue
-        for k in range(log.start[e], log.start[e + 1]):
-            j, p, w = log.target[k], log.price[k], log.winner[k]
-            size, own = abs(p), abs(price[j])
-            if size > own or (size == own and w < winner[j]):
-                s.price_count[i] += price[j] == 0
-                s.winner_count[i] += (w >= 0) - (winner[j] >= 0)
-                price[j], winner[j] = p, w
-                if arrival[j] < 0:
-                    changed[count] = j
-                    count += 1
-                arrival[j] = at
-            elif arrival[j] > at and p == price[j] and w == winner[j]:
-                arrival[j] = at
+        j, p, w = log.target[k], log.price[k], log.winner[k]
+        size, own = abs(p), abs(price[j])
+        if size > own or (size == own and w < winner[j]):
+            s.price_count[i] += price[j] == 0
+            s.winner_count[i] += (w >= 0) - (winner[j] >= 0)
+            price[j], winner[j] = p, w
+            if arrival[j] < 0:
+                changed[count] = j
+                count += 1
+            arrival[j] = at
+        elif arrival[j] > at and p == price[j] and w == winner[j]:
+            arrival[j] = at
     for c in range(count):
         s.last_news_round[i] = max(s.last_news_round[i], arrival[changed[c]])
         arrival[changed[c]] = -1
     s.target_count[i] = max(s.target_count[i], s.price_count[i])
     s.merged_round[i] = round
-    s.merged_event[i] = max(s.merged_event[i], log.size[0])
+    s.merged_bid[i] = max(s.merged_bid[i], log.size[0])
 
 
 @njit(cache=True)
@@ -344,8 +334,7 @@ def _merge(i, s, log):
 def _place_bid(i, epsilon, bidder_ids, s, log):
     # Lines 10-25; False if there are not enough targets.
     price, winner, cost = s.price[i], s.winner[i], s.cost[i]
-    e, m = log.size[1], max(s.target_count[i], s.price_count[i])
-    k = log.start[e]
+    k, m = log.size[1], max(s.target_count[i], s.price_count[i])
     if s.winner_count[i] >= m:
         m = s.winner_count[i] + 1
         if m > len(price):
@@ -354,7 +343,8 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
             s.price_count[i] += price[j] == 0
             s.winner_count[i] -= winner[j] >= 0
             price[j], winner[j] = -(abs(price[j]) + epsilon), NO_WINNER
-            log.target[k], log.price[k], log.winner[k] = j, price[j], NO_WINNER
+            log.agent[k], log.round[k], log.target[k] = i, s.round[0], j
+            log.price[k], log.winner[k] = price[j], NO_WINNER
             k += 1
     best, v, w = 0, np.inf, np.inf
     for j in range(m):
@@ -369,10 +359,11 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
     s.winner_count[i] += winner[best] < 0
     price[best] = abs(price[best]) + (w - v + epsilon)
     winner[best] = i if bidder_ids else ANONYMOUS
-    log.target[k], log.price[k], log.winner[k] = best, price[best], winner[best]
-    log.agent[e], log.round[e], log.start[e + 1] = i, s.round[0], k + 1
-    log.size[1] += 1
-    _hold(i, best, s)
+    log.agent[k], log.round[k], log.target[k] = i, s.round[0], best
+    log.price[k], log.winner[k] = price[best], winner[best]
+    log.size[1] = k + 1
+    _drop_target(i, s)
+    s.next_holder[i], s.first_holder[best], s.target_index[i] = s.first_holder[best], i, best
     s.target_count[i] = m
     s.last_news_round[i] = s.last_bid_round[i] = s.round[0]
     s.bid_count[i] += 1
@@ -381,8 +372,8 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
 
 @njit(cache=True)
 @no_type_check
-def _hold(i, target, s):
-    # Moves an agent from the list of those that hold its target to that of another target.
+def _drop_target(i, s):
+    # Takes an agent from the list of those that hold its target.
     before, at = s.target_index[i], -1
     if before >= 0:
         other = s.first_holder[before]
@@ -392,5 +383,3 @@ def _hold(i, target, s):
             s.first_holder[before] = s.next_holder[i]
         else:
             s.next_holder[at] = s.next_holder[i]
-    s.next_holder[i], s.first_holder[target] = s.first_holder[target], i
-    s.target_index[i] = target
