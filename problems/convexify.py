@@ -110,7 +110,7 @@ class AvoidanceHorizon:
         # A product of matrices for each step is far faster than the sum of `np.einsum`.
         both = np.concatenate([X, U], axis=-1).reshape(-1, self.steps, X.shape[-1] + d)
         points = np.moveaxis(np.moveaxis(both, 1, 0) @ on_both, 0, 1) + constant
-        return points.reshape(*u.shape[:-2], pieces, 4, d)
+        return np.asarray(points.reshape(*u.shape[:-2], pieces, 4, d))
 
     @cached_property
     def _stacked_maps(self) -> tuple[Array, Array]:

@@ -156,7 +156,7 @@ class VsdaaState(NamedTuple):
     arrival: Int[Array, " targets"]  # scratch: round in which news of a target arrived, −1 none
     changed: Int[Array, " targets"]  # scratch: targets of which there are news
     round: Int[Array, " 1"]
-    turn: Int[Array, " 1"]  # agent that acts next in this round; 0 before the round
+    turn: Int[Array, " 1"]  # agent that acts next in this round; −1 between rounds
 
 
 class BidLog(NamedTuple):
@@ -172,8 +172,8 @@ class BidLog(NamedTuple):
     @classmethod
     def empty(cls, room: int) -> "BidLog":
         """Allocate a log for so many bids."""
-        small = (np.empty(room, dtype=np.int32) for _ in range(4))
-        return cls(*small, np.empty(room), np.zeros(2, dtype=np.int64))
+        agent, round, target, winner = (np.empty(room, dtype=np.int32) for _ in range(4))
+        return cls(agent, round, target, winner, np.empty(room), np.zeros(2, dtype=np.int64))
 
 
 def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
@@ -204,7 +204,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         arrival=np.full(targets, -1),
         changed=np.zeros(targets, dtype=np.int64),
         round=np.zeros(1, dtype=np.int64),
-        turn=np.zeros(1, dtype=np.int64),
+        turn=np.full(1, -1),
     )
 
 
@@ -252,9 +252,9 @@ def _advance(last_round, epsilon, bidder_ids, s, log):
     # Local names, since numba counts references to every array of a tuple that is passed on.
     alive, target, sent, has_news = s.alive, s.target_index, s.sent_price, s.has_news
     outcome = RUNNING
-    while outcome == RUNNING and (s.turn[0] > 0 or s.round[0] < last_round):
-        if s.turn[0] == 0:
-            s.round[0] += 1
+    while outcome == RUNNING and (s.turn[0] >= 0 or s.round[0] < last_round):
+        if s.turn[0] < 0:
+            s.round[0], s.turn[0] = s.round[0] + 1, 0
             _announce(s, log)
         is_active = False
         for i in range(s.turn[0], agents):
@@ -273,7 +273,7 @@ def _advance(last_round, epsilon, bidder_ids, s, log):
                 sent[i] = s.price[i, target[i]]
         if outcome == LOG_FULL:
             break
-        s.turn[0] = 0
+        s.turn[0] = -1
         for i in range(agents):
             is_active = is_active or sent[i] < 0
         if log.size[0] == log.size[1] and not is_active:
