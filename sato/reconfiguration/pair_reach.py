@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
+MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 
 def is_surely_reached(
@@ -64,20 +65,14 @@ def bound_reach(
     """
     start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
     control, speed = mission.planned_control_limit(agent), _speed_limit(mission, departure, factor)
-    starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
-    ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
-    way = np.abs(targets[None, :, :d] - start[:, None, :d])
-    far = np.linalg.norm(way, axis=2)
-    # The most of a vector along a direction is that of the dual norm; less on a straight line.
-    unit = way / np.where(far > 0, far, 1.0)[..., None] + (far == 0)[..., None] * np.eye(d)[0]
-    most, V = factor * control.most_along(unit), speed.most_along(unit)
     if are_at_rest(mission, start, targets):
-        strength = factor * control.most / control.measure(unit)
-        line = farthest(strength, steps, h, speed.most / speed.measure(unit))
-        widest = factor * control.most / (unit / control.shares).max(axis=2)
-        box = farthest(widest, steps, h, np.full_like(far, inf))
-        limit = far / (1 + 1e-9)
-        return (limit <= box) & (limit <= farthest(most, steps, h, V)), limit <= line
+        count = max(1, MAX_PAIRS // max(1, len(targets)))  # few enough to stay in the cache
+        parts = [
+            _bound_at_rest(some, targets[:, :d], steps, h, factor, control, speed)
+            for some in np.split(start[:, :d], range(count, len(start), count))
+        ]
+        possible, sure = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return possible, sure
     from dynamics.discretize import discretize_zoh
     from problems.auction_cost import compute_transfer_costs
     from problems.transfer import TransferProblem
@@ -85,6 +80,10 @@ def bound_reach(
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
     possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
     if mission.is_point_mass and speed.most < inf:
+        starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
+        ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
+        far, unit = _directions(start[:, :d], targets[:, :d])
+        most, V = factor * control.most_along(unit), speed.most_along(unit)
         # In continuous time, from rest or to rest at one end, or at speed at both.
         at_full_speed, below = far / V + ends * V / (2 * most), np.sqrt(2 * ends * far / most)
         least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
@@ -98,6 +97,38 @@ def bound_reach(
     found = compute_transfer_costs(transfer, start, targets)
     possible &= found.is_reachable
     return possible, possible & found.is_exact & (mission.control_norm == "inf")
+
+
+def _bound_at_rest(
+    start: Float[Array, "k d"],
+    targets: Float[Array, "targets d"],
+    steps: int,
+    h: float,
+    factor: float,
+    control: Limit,
+    speed: Limit,
+) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
+    """Return the same from rest to rest, where closed forms decide."""
+    far, unit = _directions(start, targets)
+    # The most of a vector along a direction is that of the dual norm; less on a straight line.
+    most, V = factor * control.most_along(unit), speed.most_along(unit)
+    strength = factor * control.most / control.measure(unit)
+    line = farthest(strength, steps, h, speed.most / speed.measure(unit))
+    widest = factor * control.most / (unit / control.shares).max(axis=2)
+    box = farthest(widest, steps, h, np.full_like(far, inf))
+    limit = far / (1 + 1e-9)
+    return (limit <= box) & (limit <= farthest(most, steps, h, V)), limit <= line
+
+
+def _directions(
+    start: Float[Array, "k d"], targets: Float[Array, "targets d"]
+) -> tuple[Float[Array, "k targets"], Float[Array, "k targets d"]]:
+    """Return the distances of all pairs, and the directions, all axes positive by symmetry."""
+    way = np.abs(targets - start[:, None])
+    far = np.sqrt(np.einsum("ijd,ijd->ij", way, way))
+    unit = way / np.where(far > 0, far, 1.0)[..., None]
+    unit[far == 0] = np.eye(start.shape[1])[0]
+    return far, unit
 
 
 def bound_controls(
