@@ -24,7 +24,7 @@ ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
 Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 PassingSide = Literal["same", "opposite", "above", "below"]
 
-MAX_COORDINATES = 1_000_000  # of pairs of paths that are compared at once
+MAX_COORDINATES = 100_000  # of paths that are compared at once, which stay in the cache of a core
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
@@ -107,10 +107,11 @@ class AvoidanceHorizon:
         X = np.concatenate([x[..., :T, :], after[..., :-1, :]], axis=-2)
         U = np.concatenate([u[..., :T, :], still], axis=-2)
         on_both, constant = self._stacked_maps
-        # A product of matrices for each step is far faster than the sum of `np.einsum`.
         both = np.concatenate([X, U], axis=-1).reshape(-1, self.steps, X.shape[-1] + d)
-        points = np.moveaxis(np.moveaxis(both, 1, 0) @ on_both, 0, 1) + constant
-        return np.asarray(points.reshape(*u.shape[:-2], pieces, 4, d))
+        points = np.empty((len(both), *constant.shape))
+        for k in range(self.steps):  # far faster than one sum by `np.einsum`
+            points[:, k] = both[:, k] @ on_both[k] + constant[k]
+        return points.reshape(*u.shape[:-2], pieces, 4, d)
 
     @cached_property
     def _stacked_maps(self) -> tuple[Array, Array]:
@@ -214,10 +215,16 @@ def enclosing_balls(
     paths: Float[Array, "k *points d"],
 ) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:
     """Return the center and the radius of a ball about all points of each path [m]."""
-    axes = np.moveaxis(paths.reshape(len(paths), -1, paths.shape[-1]), 2, 0)  # one by one: faster
-    middle = [axis.mean(axis=1) for axis in axes]
-    squares = sum((axis - own[:, None]) ** 2 for axis, own in zip(axes, middle, strict=True))
-    return np.stack(middle, axis=1), np.sqrt(np.max(squares, axis=1))
+    points = paths.reshape(len(paths), -1, paths.shape[-1])
+    middle, square = np.empty(points[:, 0].shape), np.empty(len(points))
+    count = max(1, MAX_COORDINATES // max(1, points[:1].size))
+    for first in range(0, len(points), count):
+        few = slice(first, first + count)
+        axes = np.ascontiguousarray(np.moveaxis(points[few], 2, 0))
+        middle[few] = axes.mean(axis=2).T
+        axes -= middle[few].T[..., None]
+        square[few] = np.einsum("dkp,dkp->kp", axes, axes).max(axis=1)
+    return middle, np.sqrt(square)
 
 
 def convexify(

@@ -52,8 +52,10 @@ class Limit:
 
     def cut(self, v: Float[Array, "*k m"]) -> Float[Array, "*k m"]:
         """Shorten the vectors outside the set, as those of solvers are by rounding."""
-        size = np.maximum(self.measure(v), 1e-300)
-        return np.asarray(v * np.minimum(1.0, self.most / size)[..., None])
+        size = self.measure(v)
+        if (size <= self.most).all():
+            return v
+        return np.asarray(v * np.minimum(1.0, self.most / np.maximum(size, 1e-300))[..., None])
 
     def most_along(self, direction: Float[Array, "*k m"]) -> Float[Array, "*k"]:
         """Compute the largest product of a vector in the set with a direction."""

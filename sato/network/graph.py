@@ -7,7 +7,9 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.spatial.distance import cdist
+from scipy.spatial import cKDTree
+
+ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +52,11 @@ class CommunicationGraph:
             raise ValueError(f"the communication radius must be positive, got {radius} m")
         adjacency = np.zeros((len(alive), len(alive)), dtype=bool)
         live = np.flatnonzero(alive)
-        in_range = cdist(position[live], position[live], "sqeuclidean") <= radius**2
-        np.fill_diagonal(in_range, False)
-        adjacency[np.ix_(live, live)] = in_range
+        tree = cKDTree(position[live])
+        i, j = live[tree.query_pairs(radius * (1 + ROUNDING), output_type="ndarray")].T
+        in_range = ((position[i] - position[j]) ** 2).sum(axis=1) <= radius**2
+        i, j = i[in_range], j[in_range]
+        adjacency[i, j] = adjacency[j, i] = True
         return cls(adjacency, alive.copy())
 
     def subgraph(self, members: Bool[Array, " agents"]) -> "CommunicationGraph":

@@ -1,6 +1,7 @@
 """Legs of a reconfiguration: targets, time, and agents that are lost or join on the way."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -141,10 +142,12 @@ class Leg(Definition):
         """True where agents bid on all targets, and not on the first m."""
         return self.choose == "nearest"
 
-    @property
+    @cached_property
     def targets(self) -> Float[Array, "targets n"]:
         """States to reach; unless the choice is free, every prefix keeps the shape; once drawn."""
-        return states_of(self.shape)
+        states = states_of(self.shape)
+        states.flags.writeable = False
+        return states
 
     def place(self, demand: int, axes: int, min_distance: float = 0.0) -> Points:
         """Return the targets as points in their order; `demand` of a shape without a count.

@@ -61,7 +61,9 @@ def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[
     """Return equal controls that bring a double integrator to rest, in the fewest steps."""
     steps = float(limit.measure(velocity)) / (limit.most * h)
     count = 0 if steps < REST_TOLERANCE else ceil(steps * (1 - 1e-9))
-    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
+    u = np.empty((count, len(velocity)))
+    u[:] = -velocity / (max(count, 1) * h)
+    return u
 
 
 def end_at_rest(
