@@ -41,7 +41,7 @@ class CommunicationGraph:
         """Connect all live agents that are at most `radius` apart.
 
         Args:
-            position: Position of each agent [m]; ignored, and may be NaN, where not alive.
+            position: Position of each agent [m]; one that is not finite is near to none.
             radius: Communication radius [m].
             alive: True where an agent is alive.
 
@@ -51,7 +51,7 @@ class CommunicationGraph:
         if not radius > 0:
             raise ValueError(f"the communication radius must be positive, got {radius} m")
         adjacency = np.zeros((len(alive), len(alive)), dtype=bool)
-        live = np.flatnonzero(alive)
+        live = np.flatnonzero(alive & np.isfinite(position).all(axis=1))
         tree = cKDTree(position[live])
         i, j = live[tree.query_pairs(radius * (1 + ROUNDING), output_type="ndarray")].T
         in_range = ((position[i] - position[j]) ** 2).sum(axis=1) <= radius**2
