@@ -129,7 +129,7 @@ def body_distances(
 def _distances_by_supports(
     b: Float[Array, "hulls k d"], c: Float[Array, "hulls corners d"]
 ) -> tuple[Array, Array]:
-    """Return distances and vectors by the algorithm of Gilbert, Johnson and Keerthi.
+    """Return distances and vectors by the algorithm of [Gilbert1988].
 
     Differences b − c that support the best normal so far join the d + 1 that are kept, in place of
     the one that is farthest along it, until none is nearer.
