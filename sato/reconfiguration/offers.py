@@ -129,28 +129,31 @@ def _list_controls(
     """
     mission, each, owner = context.mission, list[Array](), list[int]()
     index = np.empty((len(plans), len(plan_steps)), dtype=int)
-    is_begun = np.zeros(index.shape, dtype=bool)
+    is_begun, farthest = np.zeros(index.shape, dtype=bool), longest_way(mission)
     for row, (i, plan) in enumerate(plans.items()):
         velocity, limit = context.state[i, mission.axes :], mission.planned_control_limit(i)
         index[row] = len(each)
         each.append(held_controls(mission, i, velocity, committed, context.instant))
         if not is_kept(context, plan):
             rest = limit.cut(plan.controls_from(context.step_index))
-            lengths = np.minimum(plan_steps[:-1], len(rest))
-            is_begun[row, :-1] = lengths < _steps_within_reach(context, plan)
-            begun, places = np.unique(lengths[is_begun[row, :-1]], return_inverse=True)
-            index[row, is_begun[row]] = len(each) + places
-            each += [end_at_rest(limit, velocity, rest[:q], mission.step) for q in begun]
+            lengths = [min(q, len(rest)) for q in plan_steps[:-1]]
+            within = _steps_within_reach(context, plan, farthest)
+            begun = sorted({q for q in lengths if q < within})
+            place = {q: len(each) + n for n, q in enumerate(begun)}
+            for choice, q in enumerate(lengths):
+                if q in place:
+                    index[row, choice], is_begun[row, choice] = place[q], True
+            each += [end_at_rest(limit, velocity, rest[:q], mission.step) for q in place]
         owner += [i] * (len(each) - len(owner))
     return each, owner, index, is_begun
 
 
-def _steps_within_reach(context: DecisionContext, plan: Plan) -> int:
-    """Return after how many steps a plan is out of reach of where it is now."""
+def _steps_within_reach(context: DecisionContext, plan: Plan, farthest: float) -> int:
+    """Return after how many steps a plan is farther from where it is now [m]."""
     mission, k = context.mission, context.step_index - plan.planned_at
-    position = plan.trajectory.x[k:, : mission.axes]
-    away = np.linalg.norm(position - position[0], axis=1)
-    return int(np.append(away > longest_way(mission), True).argmax())
+    away = plan.trajectory.x[k:, : mission.axes] - plan.trajectory.x[k, : mission.axes]
+    is_far = np.einsum("kd,kd->k", away, away) > farthest**2
+    return int(is_far.argmax()) if is_far.any() else len(away)
 
 
 def rest_at_target(context: DecisionContext, agent: int) -> Float[Array, " n"]:

@@ -74,7 +74,13 @@ class PlannedLimits(Vehicles):
 
         They leave a part of it to the feedback that keeps it near its reference.
         """
-        limit = self.control_limit(agent)
+        return self._planned_control_limits[agent % len(self.control_limits)]
+
+    @cached_property
+    def _planned_control_limits(self) -> tuple[Limit, ...]:
+        return tuple(self._leave_reserve(limit) for limit in self.control_limits)
+
+    def _leave_reserve(self, limit: Limit) -> Limit:
         # Of the sum of all axes, the feedback is that of each times the root of their number.
         wide = self.axes**0.5 if limit.norm == 1 else 1.0
         share = min(wide * self.reserve / float(limit.most * limit.shares.min()), MAX_RESERVE)
