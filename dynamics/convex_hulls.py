@@ -16,6 +16,7 @@ ROUNDING = 1e-15  # relative: a distance that is this near to that of a corner i
 BODY_PRECISION = 1e-14  # relative, of the distance of a hull from a body
 MAX_SUPPORTS = 100  # corners that are looked for, after which the distance is only a lower bound
 TINY = 1e-150  # length of a normal that counts as zero
+FEW = 100  # hulls, of which all normals are tried at once: of more, first those to corners
 MAX_HULLS = 4096  # that are compared at once, which stay in the cache of a core
 
 
@@ -37,16 +38,17 @@ def min_norm_points(
 def _best_normals(b: Float[Array, "hulls k d"]) -> tuple[Array, Array]:
     """Return the distances and unit normals; zero where the origin is inside."""
     square = np.einsum("qkd,qkd->qk", b, b)
-    corner = square.argmin(axis=1)
-    distance, normal = _support(b, b[np.arange(len(b)), corner][:, None])
-    enough = np.sqrt(square.min(axis=1)) * (1 - ROUNDING)
-    rest = np.flatnonzero((distance < enough) & (square.max(axis=1) < np.inf))
-    for order in range(2, min(b.shape[1:]) + 1):  # corners of an edge, of a face
-        own = b[rest]
-        value, found = _support(own, _normals_to(own, order))
-        better = value > distance[rest]
-        distance[rest[better]], normal[rest[better]] = value[better], found[better]
-    is_outside = np.isfinite(square).all(axis=1) & (distance > 0)
+    distance, normal = np.zeros(len(b)), np.zeros((len(b), b.shape[2]))
+    rest = np.arange(len(b))
+    if len(b) > FEW or b.shape[1] == 1:  # to the nearest corner; else all normals at once
+        nearest = square.argmin(axis=1)
+        distance, normal = _support(b, b[np.arange(len(b)), nearest][:, None])
+        rest = np.flatnonzero(distance < np.sqrt(square.min(axis=1)) * (1 - ROUNDING))
+    if b.shape[1] > 1:
+        own, orders = b[rest], range(2, min(b.shape[1:]) + 1)  # corners of an edge, of a face
+        normals = [own, *(_normals_to(own, order) for order in orders)]
+        distance[rest], normal[rest] = _support(own, np.concatenate(normals, axis=1))
+    is_outside = (square.max(axis=1) < np.inf) & (distance > 0)  # False for what is not a number
     return np.where(is_outside, distance, 0.0), np.where(is_outside[:, None], normal, 0.0)
 
 
@@ -88,15 +90,14 @@ def are_outside(
         radius: Radius of the circle.
         is_exact: True where hulls are to be compared, False for balls about their means.
     """
-    corners = np.moveaxis(points, 1, 0)  # one by one: sums over a short axis take longer
-    middle = reduce(np.add, corners) / len(corners)
-    squares = (np.einsum("qd,qd->q", away, away) for away in corners - middle)
-    extent = np.sqrt(reduce(np.maximum, squares))
-    outside = np.sqrt(np.einsum("qd,qd->q", middle, middle)) - extent >= radius
-    if is_exact:
+    middle = np.einsum("qkd->qd", points) / points.shape[1]
+    away = points - middle[:, None]
+    extent = np.sqrt(reduce(np.maximum, np.einsum("qkd,qkd->kq", away, away)))
+    outside = np.asarray(np.sqrt(np.einsum("qd,qd->q", middle, middle)) - extent >= radius)
+    if is_exact and not outside.all():
         near = ~outside
         outside[near] = min_norm_points(points[near])[0] >= radius[near]
-    return np.asarray(outside)
+    return outside
 
 
 def body_distances(
@@ -114,12 +115,14 @@ def body_distances(
         corners: Corners of each body, of which it is the hull.
         body: Index of the body of each hull.
     """
-    is_point = (corners == corners[:, :1]).all(axis=(1, 2))[body]
+    is_point = (corners == corners[:, :1]).all(axis=(1, 2))
+    if is_point.all():
+        return min_norm_points(points - corners[body, :1])
+    alone, rest = np.flatnonzero(is_point[body]), np.flatnonzero(~is_point[body])
     distance, vector = np.zeros(len(points)), np.zeros((len(points), points.shape[2]))
-    if is_point.any():
-        relative = points[is_point] - corners[body[is_point], :1]
-        distance[is_point], vector[is_point] = min_norm_points(relative)
-    rest = np.flatnonzero(~is_point)
+    if len(alone):
+        relative = points[alone] - corners[body[alone], :1]
+        distance[alone], vector[alone] = min_norm_points(relative)
     for first in range(0, len(rest), MAX_HULLS):
         few = rest[first : first + MAX_HULLS]
         distance[few], vector[few] = _distances_by_supports(points[few], corners[body[few]])

@@ -152,8 +152,9 @@ def separation_violation(relative: ControlPoints, radius: Separation) -> float:
 
 
 def _per_piece(radius: Separation, shape: tuple[int, ...]) -> Array:
-    spread = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
-    return np.broadcast_to(np.asarray(spread, dtype=float), shape)
+    found = np.empty(shape)
+    found[...] = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
+    return found
 
 
 def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:

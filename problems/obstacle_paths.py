@@ -67,20 +67,20 @@ class ObstaclePaths(NamedTuple):
 
 
 def measure_gaps(
-    path: Float[Array, "obstacles pieces 4 d"], obstacles: ObstaclePaths
+    path: Float[Array, "obstacles pieces k d"], obstacles: ObstaclePaths
 ) -> tuple[Float[Array, "obstacles pieces"], Float[Array, "obstacles pieces d"]]:
     """Measure the distance of each piece of a path from each obstacle, 0 inside [m].
 
     Args:
-        path: Control points in the frame of each obstacle [m].
+        path: Corners of the hull of each piece, in the frame of each obstacle [m].
         obstacles: Obstacles.
 
     Returns:
         The distance, and the vector of that length from the nearest point of the obstacle.
     """
-    shape, d = path.shape[:2], path.shape[-1]
-    body = np.repeat(np.arange(shape[0]), shape[1])
-    gap, vector = body_distances(path.reshape(-1, 4, d), obstacles.corners, body)
+    shape, hull = path.shape[:2], path.shape[2:]
+    body, d = np.repeat(np.arange(shape[0]), shape[1]), hull[1]
+    gap, vector = body_distances(path.reshape(-1, *hull), obstacles.corners, body)
     return gap.reshape(shape), vector.reshape(*shape, d)
 
 
@@ -88,12 +88,12 @@ def are_pieces_clear(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
 ) -> Bool[Array, "obstacles pieces"]:
     """Tell which pieces of a path keep the distance from each obstacle."""
-    clear = _are_far(path, obstacles)
-    for a in np.flatnonzero(~clear.all(axis=1)):
-        near = ~clear[a]
-        one = obstacles.select(np.array([a]))
-        relative = path[near] - np.broadcast_to(obstacles.paths[a], path.shape)[near]
-        clear[a, near] = measure_gaps(relative[None], one)[0][0] >= one.clearance[0]
+    relative = path - obstacles.paths
+    clear = are_balls_separated(relative, obstacles.clearance + obstacles.size)
+    if not clear.all():
+        body, _ = np.nonzero(~clear)
+        gap, _ = body_distances(relative[~clear], obstacles.corners, body)
+        clear[~clear] = gap >= obstacles.clearance[body]
     return clear
 
 
@@ -115,16 +115,9 @@ def select_near(
     path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
 ) -> ObstaclePaths:
     """Keep the obstacles that a path may come nearer to than the clearance, times a factor."""
-    is_far = _are_far(path, obstacles, factor).all(axis=1)
-    return obstacles.select(np.asarray(~is_far))
-
-
-def _are_far(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float = 1.0
-) -> Bool[Array, "obstacles pieces"]:
-    """Find the pieces that keep the clearance, times a factor, by balls about all."""
     wide = factor * obstacles.clearance + obstacles.size
-    return are_balls_separated(path - obstacles.paths, wide)
+    is_far = are_balls_separated(path - obstacles.paths, wide).all(axis=1)
+    return obstacles.select(np.asarray(~is_far))
 
 
 def is_path_clear(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> bool:
@@ -147,7 +140,7 @@ def nearest_points(
 
     For a path inside, the points through which obstacles move.
     """
-    begin = np.repeat(path[:, :1], 4, axis=1) - obstacles.paths[:, :, :1]
+    begin = path[:, :1] - obstacles.paths[:, :, :1]
     gap, vector = measure_gaps(begin, obstacles)
     nearest = path[:, 0] - vector
     inside = gap <= INSIDE * obstacles.clearance[:, None]
