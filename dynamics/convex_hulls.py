@@ -71,7 +71,8 @@ def _normals_to(b: Float[Array, "hulls k d"], order: int) -> Float[Array, "hulls
     first, *others = np.array(list(combinations(range(b.shape[1]), order))).T
     base, (edge, *second) = b[:, first], [b[:, other] - b[:, first] for other in others]
     if second:
-        return np.asarray(np.cross(edge, second[0]))
+        (a, b, c), (x, y, z) = np.moveaxis(edge, 2, 0), np.moveaxis(second[0], 2, 0)
+        return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=2)
     if b.shape[2] == 2:
         return np.stack([edge[..., 1], -edge[..., 0]], axis=-1)
     square = np.maximum(np.einsum("qed,qed->qe", edge, edge), TINY**2)

@@ -20,10 +20,9 @@ class HalfSpaces(NamedTuple):
 
     def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        on_x = np.einsum("rn,rn->r", self.state_coeffs, x[self.step_index])
-        return np.asarray(
-            self.rhs - on_x - np.einsum("rm,rm->r", self.control_coeffs, u[self.step_index])
-        )
+        x, u = np.take(x, self.step_index, axis=0), np.take(u, self.step_index, axis=0)
+        on_x = np.einsum("rn,rn->r", self.state_coeffs, x)
+        return np.asarray(self.rhs - on_x - np.einsum("rm,rm->r", self.control_coeffs, u))
 
     def to_cvxpy(self, x: Any, u: Any) -> Any:
         """Express the left-hand sides in CVXPY variables."""
@@ -66,8 +65,10 @@ class HalfSpaces(NamedTuple):
     ) -> Bool[Array, " rows"]:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
         step, worst = self.step_index, self._worst_of_steps(violation, tolerance)
-        is_peak = worst[step + 1] >= np.maximum(worst[step], worst[step + 2])
-        return np.asarray(is_peak & self.worst_per_step(violation, tolerance))
+        is_peak = np.zeros(len(worst), dtype=bool)
+        is_peak[1:-1] = worst[1:-1] >= np.maximum(worst[:-2], worst[2:])
+        is_worst = (violation > tolerance) & (violation >= worst[step + 1])
+        return np.asarray(is_worst & is_peak[step + 1])
 
     def worst_per_step(
         self, violation: Float[Array, " rows"], tolerance: float
