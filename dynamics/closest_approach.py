@@ -19,12 +19,12 @@ for _i, _j in np.ndindex(4, 4):
     _PRODUCTS[_i, _j, _i + _j] = _BINOMIALS[_i] * _BINOMIALS[_j] / [1, 6, 15, 20, 15, 6, 1][_i + _j]
 
 
-def nearest_of_groups(
+def closest_approaches(
     relative: Float[Array, "pieces 4 d"], group: Int[Array, " pieces"]
 ) -> tuple[Float[Array, " pieces"], Float[Array, " pieces"]]:
     """Return the least distance of pieces from the origin, and its fraction of the piece.
 
-    Those that are not the nearest of their group get an infinite distance, or their own.
+    The distance is exact for the nearest of each group; of others it may be infinite.
 
     Args:
         relative: Bézier points of each piece.

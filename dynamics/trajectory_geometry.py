@@ -18,7 +18,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.closest_approach import nearest_of_groups
+from dynamics.closest_approach import closest_approaches
 from dynamics.convex_hulls import min_norm_points
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
@@ -143,22 +143,23 @@ def separations(
     wide = np.ones(agents) if radii is None else radii
     lost = np.zeros_like(alive) if is_adrift is None else is_adrift & ~alive
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
-    first, pairs = 0, []
+    first, count, pairs = 0, 0, []
     for k in range(K):
         present = np.flatnonzero((alive[k] | lost[k]) & np.isfinite(b[k]).all(axis=(1, 2)))
         pairs.append(present[_near_pairs(b[k, present], wide[present], lost[k, present])])
-        if k < K - 1 and sum(map(len, pairs)) < MAX_PAIRS:
+        count += len(pairs[-1])
+        if k < K - 1 and count < MAX_PAIRS:
             continue
         piece = np.repeat(np.arange(len(pairs)), [len(some) for some in pairs])
         i, j = np.concatenate(pairs).T
         relative = b[first + piece, j] - b[first + piece, i]
         relative /= ((wide[i] + wide[j]) / 2)[:, None, None]
-        distance, fraction = nearest_of_groups(relative, piece)
+        distance, fraction = closest_approaches(relative, piece)
         order = np.argsort(-distance, kind="stable")  # the last of a piece stays
         k_of = first + piece[order]
         found.distance[k_of], found.fraction[k_of] = distance[order], fraction[order]
         found.pair[k_of] = np.stack([i, j], axis=1)[order]
-        first, pairs = k + 1, []
+        first, count, pairs = k + 1, 0, []
     return found
 
 

@@ -54,6 +54,7 @@ def compute_transfer_costs(
         ValueError: A state is not finite, or no step is left.
     """
     steps, shape = transfer.model, (len(start), len(targets))
+    _validate(len(steps), start, targets)
     unreachable = unreachable_cost(steps, transfer.control_limit.most)
     if transfer.objective == "energy":
         return _compute_energy_costs(transfer, start, targets)
@@ -75,6 +76,15 @@ def compute_transfer_costs(
     return TransferCosts(cost, reachable, exact)
 
 
+def _validate(T: int, start: Array, targets: Array) -> None:
+    if T == 0:
+        raise ValueError("a transfer needs at least one step")
+    for name, states in (("start", start), ("target", targets)):
+        if not np.isfinite(states).all():
+            k = int(np.flatnonzero(~np.isfinite(states).all(axis=1))[0])
+            raise ValueError(f"{name} {k} is not finite: {states[k]}")
+
+
 def _compute_fuel(
     transfer: TransferProblem,
     start: Float[Array, "agents n"],
@@ -82,22 +92,22 @@ def _compute_fuel(
     b: Float[Array, "agents targets n"],
 ) -> tuple[Any, Any, Any]:
     """Return the fuel of every displacement, and where it is reachable, and where it is exact."""
-    steps, d, U = transfer.model, transfer.model.axes, transfer.max_control
-    burns = solve_burns(b[..., :d], b[..., d:], steps, U) if is_double_integrator(steps) else None
-    if burns and burns.is_certified.all():
-        fuel = steps.dt * (burns.length * U).sum(axis=2)
-        reachable = burns.is_reachable.all(axis=2)
+    steps, d, shape = transfer.model, transfer.model.axes, b.shape[:2]
+    U, weight = transfer.max_control, tie_break_weights(len(steps), TIE_BREAK_RISE)
+    fuel, (is_priced, is_kept) = np.zeros(shape), np.zeros((2, *shape), dtype=bool)
+    reachable, is_asked = np.ones((2, *shape), dtype=bool)
+    if is_double_integrator(steps):
+        burns = solve_burns(b[..., :d], b[..., d:], steps, U)
+        fuel = steps.dt * (burns.length * np.asarray(U)).sum(axis=2)
+        reachable, is_priced = burns.is_reachable.all(axis=2), burns.is_certified.all(axis=2)
         is_kept, is_known = _check_limits(transfer, start, targets, burns)
-        exact, (i, j) = is_kept | ~reachable, np.nonzero(reachable & ~is_known)
-        u = np.swapaxes(Burns(*(each[i, j] for each in burns)).controls(len(steps)), 1, 2) * U
-    else:
-        # One batch an agent: its costs must not depend on the states of others in the last bit.
-        weight, rows = tie_break_weights(len(steps), TIE_BREAK_RISE), b.reshape(-1, b.shape[2])
-        found = solve_minimum_fuel(steps, rows, U, weight, batches=len(start))
-        fuel = found.fuel.reshape(b.shape[:2])
-        reachable = np.isfinite(fuel)
-        exact, (i, j) = ~reachable, np.nonzero(reachable)
-        u = found.u[reachable.ravel()]
+        is_asked = ~is_priced | (reachable & ~is_known)
+    # One batch an agent: its costs must not depend on the states of others in the last bit.
+    found = solve_minimum_fuel(steps, b[is_asked], U, weight, batches=len(start))
+    reachable[is_asked] = np.isfinite(found.fuel)
+    fuel[is_asked] = np.where(is_priced[is_asked], fuel[is_asked], found.fuel)
+    exact, (i, j) = is_kept | ~reachable, np.nonzero(is_asked & reachable)
+    u = found.u[np.isfinite(found.fuel)]
     exact[i, j] = ~transfer.control_limit.is_exceeded(u).any(axis=1)
     if isfinite(transfer.speed_limit.most):
         exact[i, j] &= ~transfer.is_too_fast(steps.simulate(start[i], u)).any(axis=1)
@@ -119,7 +129,7 @@ def _check_limits(
     if transfer.control_norm != "inf" or steps.z.any():
         none = np.zeros(burns.first.shape[:2], dtype=bool)
         return none, none
-    between = start[:, None, d:] + steps.dt * transfer.max_control * burns.first
+    between = start[:, None, d:] + steps.dt * np.asarray(transfer.max_control) * burns.first
     ends = np.maximum(np.abs(start[:, None, d:]), np.abs(targets[:, d:]))
     is_kept = ~limit.is_exceeded(np.maximum(ends, np.abs(between)))
     first, last = (np.ceil(np.abs(burn).max(axis=2)) for burn in (burns.first, burns.last))

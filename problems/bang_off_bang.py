@@ -6,8 +6,9 @@ The dual has two variables: its optimal |λ₁ + λ₂ j| exceeds weights that a
 equal ones, at the first and the last steps alone. So the control is at its limit in a burn at the
 start and one at the end, and zero between [Athans1966]. β is the sum of the two burns, and μ is a
 piecewise linear function of the last one, which at whole steps is quadratic, and is inverted
-here. Every answer is verified: a transfer by its residual and by a dual bound, an unreachable
-displacement by a direction in which it is farther than any control moves.
+here. Every answer is verified: a transfer by its residual and, for equal weights, by a dual bound,
+an unreachable displacement by a direction in which it is farther than any control moves. There is
+one such pair of burns for each displacement, which is the optimum for all concave weights.
 """
 
 from typing import NamedTuple
@@ -110,7 +111,7 @@ def _moment(burn: Array) -> Array:
 
 def _find_last_burn(β: Array, μ: Array, N: int) -> Array:
     """Return the burn at the end; −∞ where there is none."""
-    rounding = ROUNDING * N * N
+    rounding = ROUNDING * (np.abs(μ) + N * β)
     whole, p, missing = np.floor(β), N - β, μ - _moment(β)
     part, slope = β - whole, N - 1 - whole
     # Where μ is more than by a burn at the start alone, some of it is made at the end. With i
@@ -126,6 +127,8 @@ def _find_last_burn(β: Array, μ: Array, N: int) -> Array:
     rest = np.where(np.abs(rest - part * slope) <= rounding, part * slope, rest)
     opposite = i + np.fmax(rest / slope, (rest - part) / (slope - 1))
     opposite = np.where((slope <= 0) | ~(opposite < np.inf), np.inf, opposite)
+    # Both burns together take all steps at most, which rounding must not exceed.
+    opposite = np.where(2 * opposite <= p + TOLERANCE * N, np.minimum(opposite, p / 2), opposite)
     return np.where(np.abs(missing) <= rounding, 0.0, np.where(missing > 0, shared, -opposite))
 
 
@@ -136,17 +139,17 @@ def _verify(β: Array, μ: Array, last: Array, N: int) -> tuple[Array, Array]:
     end = size * (N - 1) - _moment(size)
     moment = _moment(first) + np.where(has_opposite, -end, end)
     is_met = np.abs(moment - μ) <= TOLERANCE * (1 + np.abs(μ))
-    is_met &= (first >= 0) & (length <= N * (1 + TOLERANCE))
+    is_met &= (first >= 0) & (length <= N * (1 + ROUNDING))  # else the burns overlap
     # λ₁ + λ₂ j is 1 at the last step of the first burn and −1 at the first of the last one.
     a, c = (np.maximum(np.ceil(burn - TOLERANCE) - 1, 0.0) for burn in (first, size))
     gap = N - 1 - a - c
     bound = (1 + 2 * a / gap) * β - (2 * μ + a * (a + 1) + c * (c + 1)) / gap
     bound = np.where(has_opposite, bound, β)
     is_optimal = is_met & (np.abs(length - bound) <= TOLERANCE * (1 + length))
-    is_optimal &= (gap >= 1) | ~has_opposite
     # Σ (z − j) u_j is at most Σ |z − j|, and Σ u_j at most N.
     z = np.clip(np.floor((N + β) / 2), 0, N - 1)
     beyond = z * β - μ - (z * (z + 1) + (N - 1 - z) * (N - z)) / 2
     margin = UNREACHABLE_MARGIN * (z * β + np.abs(μ) + N * N)
     is_beyond = (beyond > margin) | (β > N * (1 + UNREACHABLE_MARGIN))
+    is_optimal &= ((gap >= 1) | ~has_opposite) & ~is_beyond
     return is_optimal, is_optimal | is_beyond

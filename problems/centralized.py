@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.closest_approach import nearest_of_groups
+from dynamics.closest_approach import closest_approaches
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.trajectory_geometry import hull_distance
@@ -266,7 +266,7 @@ class CentralizedProblem:
         distance, fraction = np.full(relative.shape[:2], np.inf), np.zeros(relative.shape[:2])
         near = ~are_balls_separated(relative, PROXIMITY_FACTOR * self._clearances_of(len(x))[:, 0])
         each = np.arange(np.count_nonzero(near))
-        distance[near], fraction[near] = nearest_of_groups(relative[near], each)
+        distance[near], fraction[near] = closest_approaches(relative[near], each)
         return distance, fraction
 
     def _relative_control_points(self, x: Array, u: Array) -> Array:

@@ -51,7 +51,10 @@ class Limit:
         return np.asarray(np.einsum("...m,...m->...", scaled, scaled) > most**2)
 
     def cut(self, v: Float[Array, "*k m"]) -> Float[Array, "*k m"]:
-        """Shorten the vectors outside the set, as those of solvers are by rounding."""
+        """Shorten the vectors outside the set, as those of solvers are by rounding.
+
+        Where there are none, the argument itself is returned.
+        """
         size = self.measure(v)
         if (size <= self.most).all():
             return v

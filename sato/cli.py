@@ -12,7 +12,7 @@ from sato.cli_campaign import campaign_app
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable, save_somewhere
 from sato.scenario.errors import InputError
 
-GARBAGE_THRESHOLD = 50_000  # new objects until cycles are looked for: a tenth of the time of a run
+GARBAGE_THRESHOLD = 50_000  # new objects after which cycles are looked for; by default 700: +10 %
 
 app = Typer(
     cls=CommandGroup,

@@ -10,6 +10,7 @@ from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discret
 from problems import bang_off_bang, minimum_fuel
 from problems.auction_cost import compute_transfer_costs, solve_transfer
 from problems.bang_off_bang import is_concave, is_double_integrator, solve_burns
+from problems.limit import LIMIT_TOLERANCE
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.transfer import TransferProblem, tie_break_weights
 
@@ -31,7 +32,7 @@ def draw_controls(rng, kind, count, N):
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.sampled_from(KINDS))
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40) | st.just(300), st.sampled_from(KINDS))
 def test_burns_are_the_optima_of_the_simplex_method(seed, N, kind):
     rng = np.random.default_rng(seed)
     steps = discretize_zoh(DoubleIntegrator(2), rng.uniform(0.1, 2), N)
@@ -46,6 +47,53 @@ def test_burns_are_the_optima_of_the_simplex_method(seed, N, kind):
     found = np.swapaxes(burns.controls(N), 1, 2)[is_reachable]
     assert_allclose(found, (own / U)[is_reachable], atol=1e-6)
     assert_allclose(burns.length[is_reachable], np.abs(found).sum(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("N", [1, 2, 100, 1000])
+@pytest.mark.parametrize("beyond", [1e-14, 1e-12, 1e-10, 1e-9, 1e-8])
+def test_no_burn_at_the_edge_of_reach_exceeds_the_limit(N, beyond):
+    steps, U, dt = discretize_zoh(DoubleIntegrator(2), 0.5, N), 0.1, 0.5
+    full = np.ones(N)
+    for u in (full, -full, np.where(np.arange(N) < N // 3, 1.0, -1.0)):
+        moved = U * np.array([dt**2 * ((N - 0.5 - np.arange(N)) * u).sum(), dt * u.sum()])
+        b = np.zeros((2, 4))
+        b[:, ::2] = moved * np.array([[1 - beyond], [1 + beyond]])
+        found = solve_minimum_fuel(steps, b, U, np.ones(N))
+        assert np.isfinite(found.fuel[0])
+        assert np.nanmax(np.abs(found.u)) <= U * (1 + LIMIT_TOLERANCE)
+        transfer = TransferProblem(steps, U)
+        cost = compute_transfer_costs(transfer, np.zeros((1, 4)), b)
+        assert cost.is_reachable[0].tolist() == np.isfinite(found.fuel).tolist()
+        if beyond >= 1e-9:
+            assert np.isinf(found.fuel[1])
+
+
+@pytest.mark.parametrize("N", [80, 500])
+def test_agents_that_rest_at_targets_are_priced_in_closed_form(rng, N):
+    steps = discretize_zoh(DoubleIntegrator(2), 1.0, N)
+    place = rng.uniform(-1000, 1000, (500, 2))
+    near = place * (1 + 2.2e-16 * rng.integers(-4, 5, (500, 2)))
+    burns = solve_burns(near - place, np.zeros((500, 2)), steps, 1e-4)
+    assert burns.is_certified.all() and burns.length.max() < 1e-6
+
+
+def test_an_uncertified_pair_changes_no_bit_of_other_costs(rng, monkeypatch):
+    steps, right = discretize_zoh(DoubleIntegrator(2), 1.0, 20), bang_off_bang._verify
+    start, targets = rng.normal(0, [3.0, 3.0, 0.2, 0.2], (2, 5, 4))
+    transfer = TransferProblem(steps, 0.2, 0.8)
+    before = compute_transfer_costs(transfer, start, targets)
+
+    def doubt(β, μ, last, N):
+        is_reachable, is_certified = right(β, μ, last, N)
+        if β.ndim == 3 or len(β) == 1:  # of all pairs, and of the one that is solved by itself
+            is_certified[(0,) * (β.ndim - 1)] = False
+        return is_reachable, is_certified
+
+    monkeypatch.setattr(bang_off_bang, "_verify", doubt)
+    after = compute_transfer_costs(transfer, start, targets)
+    for one, other in zip(before, after, strict=True):
+        assert_array_equal(one.ravel()[1:], other.ravel()[1:])
+    assert after.cost[0, 0] == pytest.approx(before.cost[0, 0], rel=1e-9)
 
 
 @pytest.mark.parametrize("wrong", [1 - 1e-6, 1 + 1e-6])
@@ -88,18 +136,27 @@ def test_weights_are_concave_or_are_left_to_the_simplex_method(rng):
 
 
 @settings(deadline=None, max_examples=20)
-@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 2, "inf"]), st.sampled_from([0.0, 0.02]))
-def test_prices_are_exact_where_their_burns_keep_all_limits(seed, norm, push):
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1, 2, "inf"]),
+    st.sampled_from([0.0, 0.02]),
+    st.sampled_from([1, 2, 3, 15]),
+    st.sampled_from([2, 3]),
+)
+def test_prices_are_exact_where_their_burns_keep_all_limits(seed, norm, push, T, d):
     rng = np.random.default_rng(seed)
-    steps = discretize_zoh(DoubleIntegrator(2), 1.0, 15)
-    steps = DiscreteModel(steps.A, steps.B, steps.z + push * np.eye(4)[2], steps.dt)
-    start, targets = rng.normal(0, [3.0, 3.0, 0.3, 0.3], (2, 6, 4))
+    steps = discretize_zoh(DoubleIntegrator(d), 1.0, T)
+    steps = DiscreteModel(steps.A, steps.B, steps.z + push * np.eye(2 * d)[d], steps.dt)
+    start = rng.normal(0, np.repeat([3.0, 0.3], d), (6, 2 * d))
+    u = rng.uniform(-0.2, 0.2, (6, T, d))
+    targets = steps.simulate(rng.permutation(start), u)[:, -1]
     control_norm = "inf" if rng.random() < 0.7 else 2
-    transfer = TransferProblem(steps, 0.2, 0.7, 1, control_norm, speed_norm=norm)
+    U = 0.2 if rng.random() < 0.5 else rng.uniform(0.15, 0.25, d)
+    transfer = TransferProblem(steps, U, 0.7, 1, control_norm, speed_norm=norm)
     costs = compute_transfer_costs(transfer, start, targets)
     for i, j in np.ndindex(6, 6):
-        free = steps.simulate(start[i], np.zeros((15, 2)))[-1]
-        u = solve_minimum_fuel(steps, (targets[j] - free)[None], 0.2, np.ones(15)).u
+        free = steps.simulate(start[i], np.zeros((T, d)))[-1]
+        u = solve_minimum_fuel(steps, (targets[j] - free)[None], U, np.ones(T)).u
         if not costs.is_reachable[i, j]:
             assert np.isnan(u).all()
             continue

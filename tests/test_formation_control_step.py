@@ -1,4 +1,4 @@
-"""Compiled control steps: frames, messages, limits, avoidance and wandering."""
+"""Control steps: frames, messages, limits, avoidance and wandering."""
 
 from functools import cache
 from itertools import pairwise

@@ -12,9 +12,9 @@ B would bid in the next round, and the first agent would hear that too, in time.
 The rounds of all agents are compiled. What an agent knows only grows, in the order of bids, and
 news travels one hop a round. So the bids known to agent i after round r are the merge of all bids
 that an agent a placed in a round t with t + hops(a, i) ≤ r. No tables are passed around: an agent
-merges what has arrived when a bid on its own target arrives, since nothing else makes it act, and
-at the end. Tests compare the rounds with those of `VsdaaBidder`, one agent with its memory and
-inbox.
+merges what has arrived when it acts, which is while it holds no target or one that is for sale
+again, and when a bid on its target arrives; and all merge at a pause and at the end. Tests compare
+the rounds with those of `VsdaaBidder`, one agent with its memory and inbox.
 """
 
 from collections.abc import Iterator
@@ -136,7 +136,7 @@ class VsdaaState(NamedTuple):
     cost: Float[Array, "agents targets"]
     alive: Bool[Array, " agents"]
     hops: Int[Array, "agents agents"]  # FAR between components
-    far: Int[Array, " 1"]  # hops between the two that are farthest apart
+    most_hops: Int[Array, " 1"]  # between two agents of a component
     patience: Int[Array, " agents"]
     price: Float[Array, "agents targets"]
     winner: Int[Array, "agents targets"]
@@ -184,7 +184,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         cost=np.ascontiguousarray(cost, dtype=np.float64),
         alive=graph.alive,
         hops=np.where(np.isfinite(graph.hops), graph.hops, FAR).astype(np.int32),
-        far=graph.diameter.max(initial=0, keepdims=True),
+        most_hops=graph.diameter.max(initial=0, keepdims=True),
         patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
         winner=np.full((agents, targets), NO_WINNER),
@@ -234,7 +234,10 @@ def run_kernel(
 
 
 def _make_room(state: VsdaaState, log: BidLog) -> BidLog:
-    """Drop the bids that all agents have merged, and double the log where that is not enough."""
+    """Drop the bids that have reached all agents, and double the log where that is not enough.
+
+    All agents have merged them, as `_advance` does for all before it returns.
+    """
     first, end = log.size
     room = len(log.agent)
     wider = BidLog.empty(room if 2 * (end - first) < room else 2 * room)
@@ -289,7 +292,7 @@ def _announce(s, log):
     # A bid placed d rounds ago arrives d hops away from its bidder: there it is news for those
     # that hold its target.
     round = s.round[0]
-    while log.size[0] < log.size[1] and round - log.round[log.size[0]] > s.far[0]:
+    while log.size[0] < log.size[1] and round - log.round[log.size[0]] > s.most_hops[0]:
         log.size[0] += 1
     for k in range(log.size[0], log.size[1]):
         i, d = s.first_holder[log.target[k]], round - log.round[k]

@@ -93,7 +93,8 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
     """
     # The last instant is repeated, so that it counts where there is no other.
     way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
-    change = np.where((alive[1:] & alive[:-1])[..., None], np.diff(way, axis=0), 0.0)
+    moves = alive[1:] & alive[:-1] & np.isfinite(way[1:]).all(axis=2)
+    change = np.where(moves[..., None], np.diff(way, axis=0), 0.0)
     bound = float(sampled_separations(position, alive[:-1]).min(initial=np.inf))
     if not bound < np.inf:
         return ClosestPair(np.inf, -1, (-1, -1))
@@ -103,14 +104,16 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
         # An agent stays in the ball about the middle of its way.
         agents = np.flatnonzero(here & np.isfinite(middle[k]).all(axis=1))
         radius = (bound + 2 * half[k, agents].max(initial=0.0)) * (1 + 1e-12)
-        pairs = agents[cKDTree(middle[k, agents]).query_pairs(radius, output_type="ndarray")]
-        found.append(np.column_stack([np.full(len(pairs), k), pairs]))
+        i, j = agents[cKDTree(middle[k, agents]).query_pairs(radius, output_type="ndarray")].T
+        between = np.linalg.norm(middle[k, i] - middle[k, j], axis=1) * (1 - 1e-12)
+        near = between <= bound + half[k, i] + half[k, j]
+        found.append(np.column_stack([np.full(np.count_nonzero(near), k), i[near], j[near]]))
     k, i, j = np.concatenate(found).T
-    gap, turn = way[k, j] - way[k, i], change[k, j] - change[k, i]
-    turn[~(alive[k + 1, i] & alive[k + 1, j])] = 0.0
-    far = (turn**2).sum(axis=1)
-    share = -(gap * turn).sum(axis=1) / np.where(far > 0, far, 1.0)
-    distance = np.linalg.norm(gap + np.clip(share, 0.0, 1.0)[:, None] * turn, axis=1)
+    gap, motion = way[k, j] - way[k, i], change[k, j] - change[k, i]
+    motion[~(moves[k, i] & moves[k, j])] = 0.0
+    far = (motion**2).sum(axis=1)
+    share = -(gap * motion).sum(axis=1) / np.where(far > 0, far, 1.0)
+    distance = np.linalg.norm(gap + np.clip(share, 0.0, 1.0)[:, None] * motion, axis=1)
     best = int(distance.argmin())
     return ClosestPair(float(distance[best]), int(k[best]), (int(i[best]), int(j[best])))
 

@@ -17,7 +17,7 @@ HALVINGS = 3  # of the time for which others are to be passed
 
 @numba.njit(cache=True)
 def avoid_all(u, v, others, start, keep_out, rules, max_speed, most, planes, changed):
-    """Let every agent avoid those that it tracks, by `avoid_collisions`, and while it turns too.
+    """Let every agent avoid those that it tracks, also while its velocity still changes.
 
     Args:
         u: Wanted velocities, (agents, ≥ 2), changed in place [m/s].

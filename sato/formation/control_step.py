@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from sato.formation.avoidance import SPEED_SIDES, avoid_all
 from sato.formation.control_law import FormationData, compute_velocity_commands
 from sato.formation.mission import Formation
-from sato.formation.sectors import leave_all
+from sato.formation.sectors import turn_out_of_sectors
 from sato.formation.sensing import (
     as_complex,
     as_pairs,
@@ -186,7 +186,7 @@ def _update_velocities(
     v = as_pairs(np.conj(heading) * as_complex(state.velocity))
     if rules.legacy:
         nearby = sense_nearby(state, swarm, rng)
-        leave_all(u, nearby.measured, nearby.start, keep_out, rules, state.avoiding)
+        turn_out_of_sectors(u, nearby.measured, nearby.start, keep_out, rules, state.avoiding)
         v += np.clip(u[:, :2] - v, -most, most)
     else:
         wanders = _wander(u, state, swarm, rng)

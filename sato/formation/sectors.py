@@ -11,7 +11,7 @@ import numpy as np
 
 
 @numba.njit(cache=True)
-def leave_all(u, others, start, keep_out, rules, changed):
+def turn_out_of_sectors(u, others, start, keep_out, rules, changed):
     """Turn the velocities of all agents, by `leave_sectors`.
 
     Args:
@@ -33,7 +33,7 @@ def leave_sectors(u, others, count, keep_out, rules, buffer):
     """Turn a velocity, or stop it, so that it points at no other agent.
 
     Args:
-        u: Velocity, (3,), changed in place; its vertical part is left alone [m/s].
+        u: Velocity, (3,), changed in place; where it turns, its vertical part is left alone [m/s].
         others: Relative positions of the others in the plane, (≥ count, ≥ 2) [m].
         count: Number of others.
         keep_out: Least distance of two agents [m].
@@ -53,7 +53,7 @@ def leave_sectors(u, others, count, keep_out, rules, buffer):
     if abs(turn) <= pi / 2 + 1e-9 and speed > 0:
         u[0], u[1] = speed * cos(heading + turn), speed * sin(heading + turn)
     else:
-        u[0] = u[1] = 0.0
+        u[0] = u[1] = u[2] = 0.0
     return True
 
 

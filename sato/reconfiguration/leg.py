@@ -144,7 +144,10 @@ class Leg(Definition):
 
     @cached_property
     def targets(self) -> Float[Array, "targets n"]:
-        """States to reach; unless the choice is free, every prefix keeps the shape; once drawn."""
+        """States to reach, an array that cannot be written to; known once drawn.
+
+        Unless the choice is free, every prefix keeps the shape.
+        """
         states = states_of(self.shape)
         states.flags.writeable = False
         return states

@@ -108,7 +108,7 @@ def _bound_at_rest(
     control: Limit,
     speed: Limit,
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
-    """Return the same from rest to rest, where closed forms decide."""
+    """Return the pairs from rest to rest that may be within reach, and those that certainly are."""
     far, unit = _directions(start, targets)
     # The most of a vector along a direction is that of the dual norm; less on a straight line.
     most, V = factor * control.most_along(unit), speed.most_along(unit)
