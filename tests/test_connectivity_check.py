@@ -213,6 +213,12 @@ def test_separation_includes_passages_between_instants(rng):
     assert found.pair == tuple(sorted((i, j)))
 
 
+def test_agents_without_a_next_position_count_where_they_are():
+    position = np.array([[[0, 0], [0.1, 0]], [[5, 0], [np.nan, np.nan]]])
+    found = find_closest_approach(position, np.ones((2, 2), dtype=bool))
+    assert found == (pytest.approx(0.1), 0, (0, 1))
+
+
 def test_recorded_velocity_is_in_the_world_frame(honest):
     run, mission = honest
     p, v = run.data["position"].values, run.data["velocity"].values

@@ -9,6 +9,8 @@ from numpy.testing import assert_array_equal
 from scipy.optimize import minimize_scalar, nnls
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
+from dynamics.closest_approach import closest_approaches
+from dynamics.convex_hulls import body_distances
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
 from dynamics.orbit import Orbit
@@ -251,3 +253,50 @@ def test_nothing_is_separated_from_what_is_not_a_number(d):
     b = np.full((4, d), 5.0)
     b[2, 0] = np.nan
     assert not are_hulls_separated(b, 1.0) and not are_balls_separated(b, 1.0)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]), st.sampled_from([0.0, 1.0, 30.0]))
+def test_nearest_of_each_group_is_that_of_dense_samples(seed, d, away):
+    rng = np.random.default_rng(seed)
+    pieces, group = (
+        rng.normal(size=(20, 4, d)) + away * rng.normal(size=(20, 1, d)),
+        np.arange(20) % 6,
+    )
+    pieces[:3] = pieces[:3, :1]  # at rest
+    distance, fraction = closest_approaches(pieces, group)
+    samples = [evaluate_bezier(pieces, t) for t in np.linspace(0, 1, 401).tolist()]
+    dense = np.linalg.norm(samples, axis=2).min(axis=0)
+    for g in range(6):
+        own = np.flatnonzero(group == g)
+        nearest = own[distance[own].argmin()]
+        speed = 3 * np.linalg.norm(np.diff(pieces[own], axis=1), axis=2).max()
+        least = dense[own].min()
+        assert distance[nearest] * (1 - 1e-14) <= least <= distance[nearest] + speed / 800 + 1e-9
+        there = evaluate_bezier(pieces[nearest], fraction[nearest])
+        assert np.linalg.norm(there) == pytest.approx(distance[nearest], rel=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]), st.booleans())
+def test_distance_from_a_body_is_that_of_a_linear_program(seed, d, is_flat):
+    rng = np.random.default_rng(seed)
+    points, corners = rng.normal(size=(6, 4, d)), rng.normal(size=(2, 6, d))
+    corners[1] = corners[1, :1]  # a point
+    if is_flat:
+        points[:, 2:] = points[:, :2]
+        corners = np.round(corners)
+    points += rng.uniform(0, 4) * np.eye(d)[0]
+    body = np.arange(6) % 2
+    distance, vector = body_distances(points, corners, body)
+    for b, c, far, way in zip(points, corners[body], distance, vector, strict=True):
+        # The nearest point of the hull of all differences, by least squares with weights ≥ 0.
+        apart = (b[:, None] - c).reshape(-1, d)
+        weights, _ = nnls(
+            np.vstack([apart.T, np.full(len(apart), 1e4)]), np.append(np.zeros(d), 1e4)
+        )
+        other = np.linalg.norm(weights @ apart) / weights.sum()
+        assert far <= other * (1 + 1e-12) + 1e-12 and other <= far + 1e-5
+        assert np.linalg.norm(way) == pytest.approx(far, abs=1e-12)
+        if far > 1e-9:
+            assert (apart @ way / far).min() >= far - 1e-12
