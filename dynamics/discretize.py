@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import inf
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
+SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
 SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
 
@@ -37,6 +38,24 @@ class DiscreteModel:
     def axes(self) -> int:
         """Dimension of space."""
         return int(self.B.shape[-1])
+
+    @cached_property
+    def is_double_integrator(self) -> bool:
+        """True for positions and velocities on axes of their own, with a zero-order hold.
+
+        A drift, as that of a constant force, may be in the model.
+        """
+        (n, m), dt = self.B.shape[-2:], self.dt
+        if n != 2 * m:
+            return False
+        eye = np.eye(m)
+        unit = np.repeat([1.0, 1 / dt], m)[:, None]  # makes entries comparable
+        A, B = self.A * unit.T / unit, self.B / unit / dt**2
+        wanted = np.block([[eye, eye], [0 * eye, eye]]), np.vstack([eye / 2, eye])
+        far = (
+            np.abs(one - same).max(initial=0.0) for one, same in zip((A, B), wanted, strict=True)
+        )
+        return bool(max(far) <= SAME_MODEL)
 
     def __getitem__(self, window: slice) -> "DiscreteModel":
         A, B, z = self.A[..., window, :, :], self.B[..., window, :, :], self.z[..., window, :]
@@ -74,6 +93,10 @@ class DiscreteModel:
         for k in range(u.shape[-2]):
             states.append(states[-1] @ self.A[k].T + u[..., k, :] @ self.B[k].T + self.z[k])
         return np.stack(states, axis=-2)
+
+    def coast_to_end(self, x: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
+        """Return the last states of the free motion from x on, with the same matrices."""
+        return self.simulate(x, np.zeros((len(x), len(self), self.axes)))[:, -1]
 
 
 def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -> DiscreteModel:

@@ -178,6 +178,15 @@ def min_distance(points: Float[Array, "k d"]) -> float:
     return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
+def near_balls(middle: Float[Array, "k d"], radius: Float[Array, " k"]) -> Int[Array, "pairs 2"]:
+    """List the pairs of balls that overlap, or touch but for rounding."""
+    largest = 2 * radius.max(initial=0.0) * (1 + 1e-12)
+    i, j = scipy.spatial.cKDTree(middle).query_pairs(largest, output_type="ndarray").T
+    between = np.linalg.norm(middle[i] - middle[j], axis=1) * (1 - 1e-12)
+    near = between <= radius[i] + radius[j]
+    return np.stack([i[near], j[near]], axis=1)
+
+
 def interpolation_error(
     model: LinearModel, x: StateSamples, u: ControlSamples, h: float, t0: float = 0.0
 ) -> float:
@@ -288,11 +297,7 @@ def _near_pairs(
     if bound < np.inf:
         middle = (b[:, 0] + b[:, 3]) / 2
         reach = np.linalg.norm(b - middle[:, None], axis=2).max(axis=1)
-        radius = (bound * radii.max() + 2 * reach.max()) * (1 + 1e-12)
-        i, j = scipy.spatial.cKDTree(middle).query_pairs(radius, output_type="ndarray").T
-        between = np.linalg.norm(middle[i] - middle[j], axis=1) * (1 - 1e-12)
-        near = between <= bound * (radii[i] + radii[j]) / 2 + reach[i] + reach[j]
-        i, j = i[near], j[near]
+        i, j = near_balls(middle, bound * radii / 2 + reach).T
     else:
         i, j = np.triu_indices(len(b), 1)
     return np.asarray(np.stack([i, j], axis=1)[~(is_lost[i] & is_lost[j])])

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
 from problems.avoidance import AvoidanceProblem
-from problems.bang_off_bang import Burns, is_double_integrator, solve_burns
+from problems.bang_off_bang import Burns, solve_burns
 from problems.conic import Unsolved
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.solvers.verified import solve_program
@@ -67,7 +67,7 @@ def compute_transfer_costs(
         return TransferCosts(fuel, reachable, np.ones(shape, dtype=bool))
     cost, (reachable, exact) = np.empty(shape), np.empty((2, *shape), dtype=bool)
     count = max(1, MAX_COORDINATES // max(1, len(targets) * len(steps) * steps.axes))
-    free = _coast(steps, start)
+    free = steps.coast_to_end(start)
     for first in range(0, len(start), count):
         few = slice(first, first + count)
         b = np.asarray(targets - free[few, None])
@@ -96,7 +96,7 @@ def _compute_fuel(
     U, weight = transfer.max_control, tie_break_weights(len(steps), TIE_BREAK_RISE)
     fuel, (is_priced, is_kept) = np.zeros(shape), np.zeros((2, *shape), dtype=bool)
     reachable, is_asked = np.ones((2, *shape), dtype=bool)
-    if is_double_integrator(steps):
+    if steps.is_double_integrator:
         burns = solve_burns(b[..., :d], b[..., d:], steps, U)
         fuel = steps.dt * (burns.length * np.asarray(U)).sum(axis=2)
         reachable, is_priced = burns.is_reachable.all(axis=2), burns.is_certified.all(axis=2)
@@ -185,12 +185,7 @@ def compute_displacements(
     steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets n"]:
     """Compute target minus terminal state of the free motion, for every pair."""
-    return np.asarray(targets - _coast(steps, start)[:, None])
-
-
-def _coast(steps: DiscreteModel, start: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
-    """Return the last states of the free motion."""
-    return steps.simulate(start, np.zeros((len(start), len(steps), steps.axes)))[:, -1]
+    return np.asarray(targets - steps.coast_to_end(start)[:, None])
 
 
 def compute_distances(

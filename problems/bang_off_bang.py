@@ -23,7 +23,6 @@ from problems.limit import Bound
 TOLERANCE = 1e-9  # relative, of residuals and gaps
 ROUNDING = 1e-13  # relative, of moments and weights
 UNREACHABLE_MARGIN = 1e-13  # relative, by which a displacement is beyond all controls
-SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
 
 
 class Burns(NamedTuple):
@@ -46,22 +45,6 @@ class Burns(NamedTuple):
         u: Array = np.sign(first) * np.clip(np.abs(first) - k, 0.0, 1.0)
         u += np.sign(last) * np.clip(np.abs(last) - k[::-1], 0.0, 1.0)
         return u
-
-
-def is_double_integrator(steps: DiscreteModel) -> bool:
-    """Return True for positions and velocities on axes of their own, with a zero-order hold.
-
-    A drift, as that of a constant force, may be in the model.
-    """
-    (n, m), dt = steps.B.shape[1:], steps.dt
-    if n != 2 * m:
-        return False
-    eye = np.eye(m)
-    unit = np.repeat([1.0, 1 / dt], m)[:, None]  # makes entries comparable
-    A, B = steps.A * unit.T / unit, steps.B / unit / dt**2
-    wanted = np.block([[eye, eye], [0 * eye, eye]]), np.vstack([eye / 2, eye])
-    far = (np.abs(one - same).max(initial=0.0) for one, same in zip((A, B), wanted, strict=True))
-    return bool(max(far) <= SAME_MODEL)
 
 
 def is_concave(weight: Float[Array, " T"]) -> bool:

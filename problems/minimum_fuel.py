@@ -28,7 +28,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
-from problems.bang_off_bang import is_concave, is_double_integrator, solve_burns
+from problems.bang_off_bang import is_concave, solve_burns
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, choose_basis, solve_batches
 from problems.limit import Bound, Limit
@@ -75,7 +75,7 @@ def solve_minimum_fuel(
     """
     T, count = len(steps), len(displacement)
     _validate(T, displacement, max_control, weight)
-    if not (is_double_integrator(steps) and is_concave(weight)):
+    if not (steps.is_double_integrator and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:
         position, velocity = np.split(displacement, 2, axis=1)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
 from problems import bang_off_bang, minimum_fuel
 from problems.auction_cost import compute_transfer_costs, solve_transfer
-from problems.bang_off_bang import is_concave, is_double_integrator, solve_burns
+from problems.bang_off_bang import is_concave, solve_burns
 from problems.limit import LIMIT_TOLERANCE
 from problems.minimum_fuel import reachability_matrix, solve_minimum_fuel
 from problems.transfer import TransferProblem, tie_break_weights
@@ -114,14 +114,14 @@ def test_wrong_burns_are_found_out_and_solved_again(rng, monkeypatch, wrong):
 
 def test_only_double_integrators_have_burns():
     steps = discretize_zoh(DoubleIntegrator(3), 0.7, 5)
-    assert is_double_integrator(steps)
+    assert steps.is_double_integrator
     pushed = DiscreteModel(steps.A, steps.B, steps.z + 0.1, steps.dt)
-    assert is_double_integrator(pushed)
-    assert not is_double_integrator(discretize_zoh(ClohessyWiltshire(1e-3), 60.0, 5))
+    assert pushed.is_double_integrator
+    assert not discretize_zoh(ClohessyWiltshire(1e-3), 60.0, 5).is_double_integrator
     for name in "AB":
         changed = {"A": steps.A.copy(), "B": steps.B.copy()}
         changed[name][3, 0, 0] *= 1 + 1e-9
-        assert not is_double_integrator(DiscreteModel(**changed, z=steps.z, dt=steps.dt))
+        assert not DiscreteModel(**changed, z=steps.z, dt=steps.dt).is_double_integrator
 
 
 def test_weights_are_concave_or_are_left_to_the_simplex_method(rng):

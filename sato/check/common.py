@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from scipy.spatial import cKDTree
 
-from dynamics.trajectory_geometry import sampled_separations
+from dynamics.trajectory_geometry import near_balls, sampled_separations
 from sato.check.report import Promise, expect_none, expect_small_error
 from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
@@ -103,11 +102,8 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
     for k, here in enumerate(alive[:-1]):
         # An agent stays in the ball about the middle of its way.
         agents = np.flatnonzero(here & np.isfinite(middle[k]).all(axis=1))
-        radius = (bound + 2 * half[k, agents].max(initial=0.0)) * (1 + 1e-12)
-        i, j = agents[cKDTree(middle[k, agents]).query_pairs(radius, output_type="ndarray")].T
-        between = np.linalg.norm(middle[k, i] - middle[k, j], axis=1) * (1 - 1e-12)
-        near = between <= bound + half[k, i] + half[k, j]
-        found.append(np.column_stack([np.full(np.count_nonzero(near), k), i[near], j[near]]))
+        pairs = agents[near_balls(middle[k, agents], bound / 2 + half[k, agents])]
+        found.append(np.column_stack([np.full(len(pairs), k), pairs]))
     k, i, j = np.concatenate(found).T
     gap, motion = way[k, j] - way[k, i], change[k, j] - change[k, i]
     motion[~(moves[k, i] & moves[k, j])] = 0.0

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
+from sato.formation.sensing import as_complex
 from sato.formation.settings import ControlLaw
 
 # Size control of [Lusk2020]'s code, in the plane and vertical: K1 [1/s], K2 [1/m], and the
@@ -68,7 +69,7 @@ def compute_velocity_commands(
     """
     own, points = me[:, None], formation.points
     j = formation.neighbors[me]
-    q = np.where(is_known, relative[..., 0] + 1j * relative[..., 1], 0.0)
+    q = np.where(is_known, as_complex(relative), 0.0)
     q_z = np.where(is_known, relative[..., 2], 0.0)
     p = points[j] - points[own]
     p_z, far = p[..., 2], np.hypot(p[..., 0], p[..., 1])

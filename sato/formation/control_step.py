@@ -15,6 +15,7 @@ from sato.formation.control_law import FormationData, compute_velocity_commands
 from sato.formation.mission import Formation
 from sato.formation.sectors import turn_out_of_sectors
 from sato.formation.sensing import (
+    Neighbors,
     as_complex,
     as_pairs,
     compute_track_gains,
@@ -82,12 +83,10 @@ class Roles(NamedTuple):
     commanded_agent: int  # agent that an operator steers; −1 none
     operator_velocity: Float[Array, " 3"]  # commanded velocity, in that agent's frame [m/s]
 
-    def find_neighbors(
-        self, formation: FormationData
-    ) -> tuple[Int[Array, "agents most"], Bool[Array, "agents most"]]:
-        """Return the holders of the points beside each agent's own; False where there is none."""
+    def find_neighbors(self, formation: FormationData) -> Neighbors:
+        """Return the holders of the points beside each agent's own, as each agent knows them."""
         points = formation.neighbors[self.assignment]
-        return self.holder[np.arange(len(points))[:, None], points], points >= 0
+        return Neighbors(self.holder[np.arange(len(points))[:, None], points], points >= 0)
 
 
 class FormationState(NamedTuple):
@@ -149,12 +148,13 @@ def simulate_steps(
         steps: Number of control steps.
         rng: Generator for noise, wandering and lost messages.
     """
+    neighbors = roles.find_neighbors(swarm.formation)
     for number in range(first, first + steps):
         measure_own_positions(state, swarm, rng)
         message, rest = divmod(number, swarm.steps_per_message)
         if rest == 0:
-            exchange_positions(state, roles, swarm, message, rng)
-        _command(state, roles, swarm)
+            exchange_positions(state, neighbors, swarm, message, rng)
+        _command(state, roles, neighbors, swarm)
         _update_velocities(state, swarm, rng)
         v = state.velocity
         state.position[:] += v * swarm.step
@@ -162,11 +162,13 @@ def simulate_steps(
         state.drift[:] += flown * swarm.coordinate_frames.drift_rate
 
 
-def _command(state: FormationState, roles: Roles, swarm: StepParameters) -> None:
+def _command(
+    state: FormationState, roles: Roles, neighbors: Neighbors, swarm: StepParameters
+) -> None:
     u, active = state.velocity_command, roles.is_active
     u[:] = 0.0
     if active.any():
-        relative, is_known = locate_neighbors(state, roles, swarm)
+        relative, is_known = locate_neighbors(state, neighbors, swarm)
         rules = swarm.formation, swarm.control_law, swarm.avoidance.legacy
         own = roles.assignment[active], relative[active], is_known[active]
         u[active] = compute_velocity_commands(*own, *rules)

@@ -11,7 +11,14 @@ from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
 
 if TYPE_CHECKING:
-    from sato.formation.control_step import FormationState, Roles, StepParameters
+    from sato.formation.control_step import FormationState, StepParameters
+
+
+class Neighbors(NamedTuple):
+    """Holders of the points beside those that agents hold."""
+
+    holder: Int[Array, "agents most"]
+    is_there: Bool[Array, "agents most"]  # False beyond the last neighbor
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
@@ -50,7 +57,7 @@ def measure_own_positions(
 
 def exchange_positions(
     state: "FormationState",
-    roles: "Roles",
+    neighbors: Neighbors,
     swarm: "StepParameters",
     message: int,
     rng: np.random.Generator,
@@ -59,16 +66,16 @@ def exchange_positions(
     ring = len(state.sent)
     state.sent[message % ring] = state.measured_position
     arriving = state.sent[(message - swarm.message_delay) % ring]
-    holder, is_neighbor = roles.find_neighbors(swarm.formation)
+    is_heard = neighbors.is_there
     if swarm.message_loss > 0:
-        is_neighbor &= rng.random(is_neighbor.shape) >= swarm.message_loss
-    i, _ = np.nonzero(is_neighbor)
-    j = holder[is_neighbor]
+        is_heard = is_heard & (rng.random(is_heard.shape) >= swarm.message_loss)
+    i, _ = np.nonzero(is_heard)
+    j = neighbors.holder[is_heard]
     state.received[i, j] = arriving[j]
 
 
 def locate_neighbors(
-    state: "FormationState", roles: "Roles", swarm: "StepParameters"
+    state: "FormationState", neighbors: Neighbors, swarm: "StepParameters"
 ) -> tuple[Float[Array, "agents most 3"], Bool[Array, "agents most"]]:
     """Locate the holders of neighboring points relative to each agent, in its own frame.
 
@@ -78,7 +85,7 @@ def locate_neighbors(
         Relative positions, and True where there is a neighbor that was heard.
     """
     frames, own = swarm.coordinate_frames, np.arange(len(state.position))[:, None]
-    j, is_neighbor = roles.find_neighbors(swarm.formation)
+    j, is_neighbor = neighbors
     heard, apart = state.received[own, j], frames.origin[j] - frames.origin[:, None]
     flat = frames.rotation[j] * as_complex(heard) + as_complex(apart)
     relative = np.empty_like(heard)

@@ -108,7 +108,7 @@ def solve_solo_transfers(
     if not transfer.is_linear:
         each = zip(start, targets, solvers, strict=True)
         return [solve_transfer(transfer, *own) for own in each], len(start)
-    b = targets - model.simulate(start, np.zeros((len(start), len(model), model.axes)))[:, -1]
+    b = targets - model.coast_to_end(start)
     u = solve_minimum_fuel(model, b, transfer.max_control, transfer.weights).u
     x = model.simulate(start, u)
     fuel = model.dt * np.abs(u).sum(axis=(1, 2))
