@@ -79,23 +79,18 @@ class DiscreteModel:
         return R
 
     def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
-        """Return the states from x on, of one agent or of many with the same matrices.
-
-        Raises:
-            ValueError: Each agent has matrices of its own.
-        """
-        if self.A.ndim != 3:
-            raise ValueError(
-                f"these are the steps of agents of shape {self.A.shape[:-3]}, each with matrices "
-                "of its own: simulate one agent at a time, with `for_agent(i).simulate(x[i], u[i])`"
-            )
-        states = [x]
+        """Return the states from x on, of one agent or of many, with the same matrices or own."""
+        own, states = self.A.ndim > 3, [x]
         for k in range(u.shape[-2]):
-            states.append(states[-1] @ self.A[k].T + u[..., k, :] @ self.B[k].T + self.z[k])
+            A, B, z = self.A[..., k, :, :], self.B[..., k, :, :], self.z[..., k, :]
+            if own:
+                states.append(_matvec(A, states[-1]) + _matvec(B, u[..., k, :]) + z)
+            else:
+                states.append(states[-1] @ A.T + u[..., k, :] @ B.T + z)
         return np.stack(states, axis=-2)
 
     def coast_to_end(self, x: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
-        """Return the last states of the free motion from x on, with the same matrices."""
+        """Return the last states of the free motion from x on."""
         return self.simulate(x, np.zeros((len(x), len(self), self.axes)))[:, -1]
 
 

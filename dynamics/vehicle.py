@@ -28,5 +28,8 @@ def rotate_by_yaw(
 ) -> Float[Array, "*#k 3"]:
     """Rotate vectors from heading frames to the world frame: R_z(ψ) v."""
     c, s = np.cos(yaw), np.sin(yaw)
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack(np.broadcast_arrays(c * x - s * y, s * x + c * y, z), axis=-1)
+    x, y = vectors[..., 0], vectors[..., 1]
+    turned = np.asarray(c * x - s * y)
+    rotated = np.empty((*turned.shape, 3))
+    rotated[..., 0], rotated[..., 1], rotated[..., 2] = turned, s * x + c * y, vectors[..., 2]
+    return rotated

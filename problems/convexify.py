@@ -25,6 +25,8 @@ Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 PassingSide = Literal["same", "opposite", "above", "below"]
 
 MAX_COORDINATES = 100_000  # of paths that are compared at once, which stay in the cache of a core
+BOX_PIECES = 8  # of a path, about which one box is compared with those of others
+ROUNDING = 1e-9  # relative, of distances
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
@@ -194,7 +196,7 @@ def are_paths_separated(
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> Bool[Array, " pairs"]:
-    """Return True where all pieces of a pair are separated; far pairs are found by balls.
+    """Return True where all pieces of a pair are separated.
 
     Args:
         paths: Control points [m].
@@ -206,10 +208,57 @@ def are_paths_separated(
         return np.ones(0, dtype=bool)
     middle, extent = enclosing_balls(paths)
     apart = np.linalg.norm(middle[i] - middle[j], axis=1)
-    separated = np.asarray(apart > extent[i] + extent[j] + radius)
-    near = np.flatnonzero(~separated)
-    separated[near] = are_pairs_separated(paths, i[near], j[near], radius[near]).all(axis=1)
+    separated = np.ones(len(i), dtype=bool)
+    near = np.flatnonzero(apart <= extent[i] + extent[j] + radius)
+    pair, piece = near_pieces(paths, i[near], j[near], radius[near])
+    pair = near[pair]
+    count = max(1, MAX_COORDINATES // paths[0, 0].size)
+    for begin in range(0, len(pair), count):
+        own, k = pair[begin : begin + count], piece[begin : begin + count]
+        relative = paths[i[own], k] - paths[j[own], k]
+        separated[own[~are_hulls_separated(relative, radius[own])]] = False
     return separated
+
+
+def near_pieces(
+    paths: Float[Array, "k pieces points d"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> tuple[Int[Array, " near"], Int[Array, " near"]]:
+    """List the pieces of pairs of paths whose points may be nearer than a distance.
+
+    Boxes about several pieces of each path are compared, which leaves out nearly all.
+
+    Args:
+        paths: Points of each piece [m].
+        i: First path of each pair.
+        j: Second one.
+        radius: Distance of each pair [m].
+
+    Returns:
+        Number of the pair, and the piece, of all that are left.
+    """
+    pieces, d = paths.shape[1], paths.shape[-1]
+    first = np.arange(0, pieces, BOX_PIECES)
+    low, high = np.empty((2, d, len(paths), len(first)))
+    for axis in range(d):  # each by itself is far faster
+        own = paths[..., axis]
+        low[axis] = np.minimum.reduceat(own.min(axis=2), first, axis=1)
+        high[axis] = np.maximum.reduceat(own.max(axis=2), first, axis=1)
+    most, found = (radius * (1 + ROUNDING)) ** 2, []
+    count = max(1, MAX_COORDINATES // max(1, len(first)))
+    for begin in range(0, len(i), count):
+        some = slice(begin, begin + count)
+        square = 0.0
+        for below, above in zip(low, high, strict=True):
+            gap = np.maximum(below[i[some]] - above[j[some]], below[j[some]] - above[i[some]])
+            square = square + np.square(np.maximum(gap, 0.0))
+        found.append(np.argwhere(square <= most[some, None]) + [begin, 0])
+    pair, box = np.concatenate(found or [np.zeros((0, 2), dtype=int)]).T
+    piece = box[:, None] * BOX_PIECES + np.arange(BOX_PIECES)
+    is_there = piece < pieces
+    return np.broadcast_to(pair[:, None], piece.shape)[is_there], piece[is_there]
 
 
 def enclosing_balls(

@@ -65,22 +65,32 @@ class Lambda2Gradient(NamedTuple):
     yaw: Yaws  # [1/rad]
 
 
-def cosine_ramp(x: Numbers, low: float, high: float) -> tuple[Numbers, Numbers]:
-    """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7].
-
-    Returns:
-        The value and its derivative.
-    """
-    phase = pi * (np.minimum(np.maximum(x, low), high) - low) / (high - low)
-    slope = pi / (2 * (high - low)) * np.sin(phase)
-    return (1 - np.cos(phase)) / 2, np.where((low < x) & (x < high), slope, 0.0)
+def cosine_ramp(x: Numbers, low: float, high: float) -> Numbers:
+    """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7]."""
+    return (1 - np.cos(_ramp_phase(x, low, high))) / 2
 
 
-def range_weight(d: Numbers, camera: Camera) -> tuple[Numbers, Numbers]:
-    """Compute γ and its derivative at a distance [Bernard2023, eq. 9]."""
-    near, rise = cosine_ramp(d, camera.d_min, camera.d_near)
-    beyond, fall = cosine_ramp(d, camera.d_far, camera.d_max)
-    return near * (1 - beyond), rise * (1 - beyond) - near * fall
+def cosine_ramp_slope(x: Numbers, low: float, high: float) -> Numbers:
+    """Compute the derivative of `cosine_ramp`."""
+    slope = pi / (2 * (high - low)) * np.sin(_ramp_phase(x, low, high))
+    return np.where((low < x) & (x < high), slope, 0.0)
+
+
+def _ramp_phase(x: Numbers, low: float, high: float) -> Numbers:
+    return pi * (np.minimum(np.maximum(x, low), high) - low) / (high - low)
+
+
+def range_weight(d: Numbers, camera: Camera) -> Numbers:
+    """Compute γ at a distance [Bernard2023, eq. 9]."""
+    near = cosine_ramp(d, camera.d_min, camera.d_near)
+    return near * (1 - cosine_ramp(d, camera.d_far, camera.d_max))
+
+
+def range_weight_slope(d: Numbers, camera: Camera) -> Numbers:
+    """Compute the derivative of γ."""
+    rising, falling = (camera.d_min, camera.d_near), (camera.d_far, camera.d_max)
+    rise = cosine_ramp_slope(d, *rising) * (1 - cosine_ramp(d, *falling))
+    return rise - cosine_ramp(d, *rising) * cosine_ramp_slope(d, *falling)
 
 
 def edge_weights(
@@ -106,9 +116,11 @@ def edge_weights(
     axis = np.array(camera.optical_axis)
     is_near = (camera.d_min < d) & (d < camera.d_max)
     a, b = (own * axis).sum(axis=-1), (other * axis).sum(axis=-1)
-    f, f_slope = np.where(is_near & sees, cosine_ramp(a, camera.a_min, camera.a_max), 0.0)
-    g, g_slope = np.where(is_near & is_seen, cosine_ramp(b, camera.a_min, camera.a_max), 0.0)
-    gamma, range_slope = range_weight(d, camera)
+    # An end out of view counts as seen at a_min, where its weight and its slope are 0.
+    seen = np.where([is_near & sees, is_near & is_seen], [a, b], camera.a_min)
+    f, g = cosine_ramp(seen, camera.a_min, camera.a_max)
+    f_slope, g_slope = cosine_ramp_slope(seen, camera.a_min, camera.a_max)
+    gamma, range_slope = range_weight(d, camera), range_weight_slope(d, camera)
     view = f + g - f * g
     rate_f, rate_g = gamma * (1 - g) * f_slope, gamma * (1 - f) * g_slope
     # P o_C of both bearings, with P = I − β βᵀ; that of the other in the frame of i
@@ -165,15 +177,10 @@ def algebraic_connectivity(
         weight: Edge weights, at most 1, of at least two agents.
         members: True for agents of the graph; all if absent. λ₂ of one agent is infinite.
     """
-    n = weight.shape[-1]
     is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
-    pairs = is_member[..., None] & is_member[..., None, :]
-    L = laplacian(np.where(pairs, weight, 0.0))
-    # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
-    value, vector = np.linalg.eigh(L + 2 * n * (~is_member)[..., None] * np.eye(n))
-    value = np.where(np.arange(n) < is_member.sum(axis=-1)[..., None], value, np.inf)
-    second = value[..., 1:2]
-    third = value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
+    value, vector = np.linalg.eigh(_pad_laplacian(weight, is_member))
+    value, second, third = _select_eigenvalues(value, is_member)
+    second = second[..., None]
     limit = second + MULTIPLICITY_TOLERANCE * np.maximum(1, second)
     equal = np.where(np.isfinite(second), value[..., 1:] <= limit, False)
     shares = equal / np.maximum(equal.sum(axis=-1, keepdims=True), 1)
@@ -181,7 +188,34 @@ def algebraic_connectivity(
     product = (vector[..., 1:] * shares[..., None, :]) @ vector[..., 1:].swapaxes(-1, -2)
     square = np.diagonal(product, axis1=-2, axis2=-1)
     gradient = square[..., None] + square[..., None, :] - 2 * product
+    pairs = is_member[..., None] & is_member[..., None, :]
     return AlgebraicConnectivity(value[..., 1], third, np.where(pairs, gradient, 0.0))
+
+
+def connectivity_eigenvalues(
+    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
+) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
+    """Compute λ₂ and λ₃ as `algebraic_connectivity`, without the gradient."""
+    value = np.linalg.eigvalsh(_pad_laplacian(weight, members))
+    return _select_eigenvalues(value, members)[1:]
+
+
+def _pad_laplacian(
+    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
+) -> Float[Array, "*k n n"]:
+    # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
+    n = weight.shape[-1]
+    L = laplacian(np.where(members[..., None] & members[..., None, :], weight, 0.0))
+    return np.asarray(L + 2 * n * (~members)[..., None] * np.eye(n))
+
+
+def _select_eigenvalues(
+    value: Float[Array, "*k n"], members: Bool[Array, "*k n"]
+) -> tuple[Float[Array, "*k n"], Float[Array, "*k"], Float[Array, "*k"]]:
+    """Return the eigenvalues of members, infinite beyond, and λ₂ and λ₃ of them."""
+    n = value.shape[-1]
+    value = np.where(np.arange(n) < members.sum(axis=-1)[..., None], value, np.inf)
+    return value, value[..., 1], value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
 
 
 def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2Gradient:

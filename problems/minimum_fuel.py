@@ -1,4 +1,4 @@
-"""Least ℓ₁ fuel of one linear system for very many displacements.
+"""Least ℓ₁ fuel of linear systems, above all of one for very many displacements.
 
     minimize  Σ_j w_j |u_j|   subject to  C u = b,  |u_j| ≤ U
 
@@ -25,7 +25,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
-from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
 from problems.bang_off_bang import is_concave, solve_burns
@@ -62,7 +61,7 @@ def solve_minimum_fuel(
     certificate; HiGHS solves the programs where this fails.
 
     Args:
-        steps: Dynamics, the same for all.
+        steps: Dynamics, the same for all, or those of each program.
         displacement: x_f − Φ x₀ − (drift), a row for each program.
         max_control: U, the largest |u| on each axis, or one entry an axis [m/s²].
         weight: Weights of |u[k]|, near 1; see `tie_break_weights`.
@@ -75,7 +74,7 @@ def solve_minimum_fuel(
     """
     T, count = len(steps), len(displacement)
     _validate(T, displacement, max_control, weight)
-    if not (steps.is_double_integrator and is_concave(weight)):
+    if steps.A.ndim > 3 or not (steps.is_double_integrator and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:
         position, velocity = np.split(displacement, 2, axis=1)
@@ -99,15 +98,20 @@ def _solve_by_simplex(
     batches: int,
 ) -> tuple[Float[Array, "programs T m"], Bool[Array, " programs"]]:
     """Return the controls, and True for what they reach."""
-    u = np.zeros((len(displacement), len(steps), steps.axes))
-    is_reachable = np.ones(len(displacement), dtype=bool)
+    count, responses = len(displacement), reachability_matrix(steps)
+    u, is_reachable = np.zeros((count, len(steps), steps.axes)), np.ones(count, dtype=bool)
+    if steps.A.ndim == 3:
+        parts = [(slice(None), responses)]
+    else:
+        parts = [(slice(q, q + 1), C) for q, C in enumerate(responses)]
     for states, inputs in decouple_axes(steps):
-        C = reachability_matrix(steps)[states][:, :, inputs]
         each = np.broadcast_to(max_control, steps.axes)[inputs]
         limit = Limit(each if len(each) else np.max(max_control), "inf", len(inputs))
-        own = C, displacement[:, states], limit, weight, batches
-        u[:, :, inputs], can_reach = _solve_decoupled(*own)
-        is_reachable &= can_reach
+        for own, C in parts:
+            b = displacement[own, states]
+            found = _solve_decoupled(C[states][:, :, inputs], b, limit, weight, batches)
+            u[own, :, inputs], can_reach = found
+            is_reachable[own] &= can_reach
     return u, is_reachable
 
 
@@ -123,25 +127,26 @@ def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) ->
         raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
 
 
-def reachability_matrix(steps: DiscreteModel) -> Float[Array, "n T m"]:
+def reachability_matrix(steps: DiscreteModel) -> Float[Array, "*agents n T m"]:
     """Compute C, the response of the last state to a unit of each u[k]."""
-    n, m = steps.B.shape[1:]
-    C = np.empty((n, len(steps), m))
-    transition = np.eye(n)  # from step k + 1 to the last
+    C = np.empty_like(np.swapaxes(steps.B, -3, -2))
+    transition = np.eye(C.shape[-3])  # from step k + 1 to the last
     for k in reversed(range(len(steps))):
-        C[:, k] = transition @ steps.B[k]
-        transition = transition @ steps.A[k]
+        C[..., k, :] = transition @ steps.B[..., k, :, :]
+        transition = transition @ steps.A[..., k, :, :]
     return C
 
 
 def decouple_axes(steps: DiscreteModel) -> list[tuple[Int[Array, " s"], Int[Array, " i"]]]:
     """Find the groups of states and inputs that do not act on one another."""
-    n, m = steps.B.shape[1:]
-    coupling = np.zeros((n + m, n + m))
-    coupling[:n, :n] = np.abs(steps.A).sum(axis=0)
-    coupling[:n, n:] = np.abs(steps.B).sum(axis=0)
-    count, label = connected_components(coupling, directed=False)
-    groups = [np.flatnonzero(label == g) for g in range(count)]
+    n, m = steps.B.shape[-2:]
+    are_joined = np.eye(n + m, dtype=bool)
+    are_joined[:n, :n] |= steps.A.reshape(-1, n, n).any(axis=0)
+    are_joined[:n, n:] |= steps.B.reshape(-1, n, m).any(axis=0)
+    are_joined |= are_joined.T
+    for _ in range((n + m).bit_length()):  # squared, until all paths are found
+        are_joined = are_joined @ are_joined
+    groups = [np.flatnonzero(row) for i, row in enumerate(are_joined) if not row[:i].any()]
     return [(group[group < n], group[group >= n] - n) for group in groups]
 
 

@@ -111,7 +111,7 @@ def check(
 ) -> None:
     """Check a run by recomputing it from its file alone; exit 1 if a promise is broken."""
     from sato.console import print_report, progress_bar
-    from sato.record import json_default
+    from sato.run_data import json_default
 
     with progress_bar("recomputing the run"):
         report = sato.load(folder).check()

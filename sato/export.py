@@ -10,7 +10,7 @@ import csv
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,10 +18,8 @@ from numpy import ndarray as Array
 
 from dynamics.coordinate_frames import LVLH
 from sato.atomic import replace_atomically
+from sato.run_data import RunData
 from sato.scenario.errors import InputError
-
-if TYPE_CHECKING:
-    import xarray
 
 DEFAULT_PATHS = {"oem": "oem", "csv": "trajectories.csv"}  # in the folder of a run
 DEFAULT_EPOCH = "2026-01-01T00:00:00"  # of time 0, of a run without an epoch [UTC]
@@ -46,11 +44,11 @@ class Ephemeris(NamedTuple):
     inertial: Float[Array, "k 6"] | None  # where there is a chief [m, m/s]
 
 
-def export(data: "xarray.Dataset", path: str | Path, format: str = "oem") -> Path:
+def export(data: RunData, path: str | Path, format: str = "oem") -> Path:
     """Write the trajectories of a run for other tools.
 
     Args:
-        data: Dataset of the run.
+        data: Data of the run.
         path: A folder for "oem", a file for "csv". What is there is replaced once all is
             written, and kept if that fails.
         format: "oem" is one CCSDS OEM an object, in inertial axes. "csv" is one table of all
@@ -73,7 +71,7 @@ def export(data: "xarray.Dataset", path: str | Path, format: str = "oem") -> Pat
     return path
 
 
-def iterate_ephemerides(data: "xarray.Dataset") -> Iterator[Ephemeris]:
+def iterate_ephemerides(data: RunData) -> Iterator[Ephemeris]:
     """Yield the objects of a run: the chief where there is one, then every agent."""
     time = np.asarray(data["time"], dtype=float)
     parts = [np.asarray(data[name], dtype=float) for name in ("position", "velocity")]
@@ -91,7 +89,7 @@ def iterate_ephemerides(data: "xarray.Dataset") -> Iterator[Ephemeris]:
             yield Ephemeris(f"agent-{j:0{digits}}", time[there], relative[there, j], states)
 
 
-def format_utc(data: "xarray.Dataset", time: Float[Array, " k"]) -> list[str]:
+def format_utc(data: RunData, time: Float[Array, " k"]) -> list[str]:
     """Format times of a run in UTC, in milliseconds, or nanoseconds where it takes them.
 
     Leap seconds are not counted.
@@ -103,7 +101,7 @@ def format_utc(data: "xarray.Dataset", time: Float[Array, " k"]) -> list[str]:
     return [str(each) for each in np.datetime_as_string(times, "ms" if is_whole else "ns")]
 
 
-def format_oem(data: "xarray.Dataset", track: Ephemeris) -> str:
+def format_oem(data: RunData, track: Ephemeris) -> str:
     """Format an object's trajectory as a CCSDS OEM in key-value notation [CCSDS502, 5]."""
     times = format_utc(data, track.time)
     about = data.attrs
@@ -138,13 +136,13 @@ def format_oem(data: "xarray.Dataset", track: Ephemeris) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_oem(data: "xarray.Dataset", folder: Path) -> None:
+def _write_oem(data: RunData, folder: Path) -> None:
     folder.mkdir()
     for track in iterate_ephemerides(data):
         (folder / f"{track.name}.oem").write_text(format_oem(data, track), encoding="ascii")
 
 
-def _write_csv(data: "xarray.Dataset", file: Path) -> None:
+def _write_csv(data: RunData, file: Path) -> None:
     with file.open("w", encoding="utf-8", newline="") as out:
         table = csv.writer(out, lineterminator="\n")
         for i, track in enumerate(iterate_ephemerides(data)):
@@ -166,7 +164,7 @@ def _csv_header(track: Ephemeris) -> list[str]:
     return ["object", "time_s", *frames[:6], "utc", *frames[6:]]
 
 
-def _find_obstacle(data: "xarray.Dataset", path: Path, format: str) -> str:
+def _find_obstacle(data: RunData, path: Path, format: str) -> str:
     if format not in DEFAULT_PATHS:
         return f'there is no format "{format}", only {" and ".join(DEFAULT_PATHS)}'
     if format == "csv":

@@ -19,10 +19,10 @@ from numpy import ndarray as Array
 from numpy.random import Generator
 
 from sato.check.report import Report
+from sato.run_data import RunData
 
 if TYPE_CHECKING:  # slow to import, and not needed to simulate
     import matplotlib.figure
-    import xarray
 
 
 class Recorded(NamedTuple):
@@ -116,11 +116,11 @@ class System(Generic[MissionT, FrameT]):
     # Radii, limits and constants of a run.
     attributes: Callable[[MissionT], Mapping[str, float | str]]
     # Promises and summary, recomputed; the generator is as the drawing of the mission left it.
-    check: Callable[["xarray.Dataset", MissionT, Generator], Report]
+    check: Callable[[RunData, MissionT, Generator], Report]
     progress: Callable[[MissionT, FrameT], MissionProgress]
-    figures: Callable[["xarray.Dataset", MissionT], FigureFactories]  # by file name, in order
+    figures: Callable[[RunData, MissionT], FigureFactories]  # by file name, in order
     # Has `canvas`, `frame_positions` and `draw_frame`, as `SwarmAnimation`.
-    animation: "Callable[[xarray.Dataset, MissionT], Any] | None" = None
+    animation: Callable[[RunData, MissionT], Any] | None = None
     run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
     promises: tuple[str, ...] = ()  # names of those of `check`

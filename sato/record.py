@@ -1,13 +1,11 @@
-"""Run files: frames stacked to a dataset, and a dataset written and read as netCDF-4."""
+"""Run files: frames stacked to the data of a run, which is written and read as netCDF-4."""
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import (
-    TYPE_CHECKING,
     Annotated,
     Any,
     Generic,
@@ -26,21 +24,16 @@ from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
 from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
+from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
 from sato.systems import load_system
-
-if TYPE_CHECKING:  # slow to import
-    import xarray
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
-_NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
-# A variable as xarray takes it: dimensions, values and attributes.
-Variable = tuple[tuple[str, ...], Array, dict[str, str]]
 FieldsT = TypeVar("FieldsT")
 VariablesT = TypeVar("VariablesT")
 RecordT = TypeVar("RecordT", bound="RunRecord[Any, Any, Any]")
@@ -58,14 +51,14 @@ class RunFileError(ValueError):
     """A run file that cannot be read; the message names the file."""
 
 
-def build_dataset(
+def collect_run_data(
     system: System[MissionT, FrameT],
     frames: Sequence[FrameT],
     mission: MissionT,
     stopped: str = "",
     **attributes: str | float,
-) -> "xarray.Dataset":
-    """Collect the dataset of a run from its frames.
+) -> RunData:
+    """Collect the data of a run from its frames.
 
     Args:
         system: System of the frames.
@@ -76,8 +69,6 @@ def build_dataset(
             repeated, its `origin` (`sato.scenario.origin`), seed and version; and wall_s and
             peak_memory_mib, the time [s] and memory [MiB] that the simulation took.
     """
-    import xarray
-
     if not frames:
         raise ValueError("a run needs at least one frame")
     attributes |= {"format": FORMAT, "system": system.name, "complete": int(not stopped)}
@@ -95,30 +86,26 @@ def build_dataset(
     variables = stack(frames) | write_variables(common)
     if system.collect is not None:
         variables |= write_variables(system.collect(frames, mission))
-    data = xarray.Dataset(variables, attrs=attributes | dict(system.attributes(mission)))
-    data.attrs["digest"] = compute_digest(data)
-    return data
+    return RunData(variables, attributes | dict(system.attributes(mission))).seal()
 
 
-def save(data: "xarray.Dataset", summary: Mapping[str, Any], folder: Path) -> None:
+def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
     Raises:
         OSError: There is no room, or no permission; what was there is kept.
     """
-    packed = {name: {"zlib": True} for name, v in data.variables.items() if _is_compressible(v)}
     plain = json.loads(json.dumps(summary, default=json_default))
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
     with replace_atomically(folder / RUN_FILE) as file:
-        # In memory first: HDF5 ends the program where a disk is full.
-        file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+        file.write_bytes(data.to_netcdf())
         (folder / SUMMARY_FILE).unlink(missing_ok=True)  # no run is ever beside another's
     with replace_atomically(folder / SUMMARY_FILE) as file:
         file.write_text(text, encoding="utf-8")
 
 
-def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
-    """Read the dataset and the summary of a run from its folder, or from the run file itself.
+def load(path: Path) -> tuple[RunData, dict[str, Any]]:
+    """Read the data and the summary of a run from its folder, or from the run file itself.
 
     A file of another name than run.nc has no summary beside it, for that may be another run's.
 
@@ -134,7 +121,7 @@ def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
     try:
         with h5py.File(file) as opened:  # where this fails, h5netcdf prints a second error
             dict(opened.attrs)
-        data = xarray.load_dataset(file, engine="h5netcdf")
+        data = RunData.from_xarray(xarray.load_dataset(file, engine="h5netcdf"))
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
@@ -142,21 +129,6 @@ def load(path: Path) -> tuple["xarray.Dataset", dict[str, Any]]:
     beside = file.with_name(SUMMARY_FILE)
     found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
     return data, initial_summary(data.attrs) if found is None else found
-
-
-def compute_digest(data: "xarray.Dataset") -> str:
-    """Compute SHA-256 of a dataset, without the time and memory that the flight took."""
-    digest = hashlib.sha256()
-    attributes = {str(k): v for k, v in data.attrs.items() if k not in _NOT_IN_DIGEST}
-    digest.update(json.dumps(attributes, sort_keys=True, default=json_default).encode())
-    for name in sorted(map(str, data.variables)):
-        values = np.asarray(data.variables[name].values)
-        digest.update(f"{name} {values.shape}".encode())
-        if values.dtype.kind in "biuf":
-            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
-        else:
-            digest.update("\0".join(map(str, values.ravel())).encode())
-    return digest.hexdigest()
 
 
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -179,13 +151,13 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
     attributes: dict[str, Any]
 
     @classmethod
-    def from_dataset(cls: type[RecordT], data: "xarray.Dataset", mission: Any) -> RecordT:
+    def from_data(cls: type[RecordT], data: RunData, mission: Any) -> RecordT:
         """Read the data of a run; fields of its frames that are not recorded are None."""
         system = load_system(data.attrs["system"])
         frames: Any = read_variables(system.frame, data)
-        frames = frames._replace(events=EventLog.from_dataset(data).events)
+        frames = frames._replace(events=EventLog.from_data(data).events)
         variables: Any = system.run_variables and read_variables(system.run_variables, data)
-        return cls(mission, frames, variables, {str(k): v for k, v in data.attrs.items()})
+        return cls(mission, frames, variables, dict(data.attrs))
 
     @classmethod
     def from_frames(cls: type[RecordT], frames: Sequence[Any], mission: Any) -> RecordT:
@@ -205,13 +177,6 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
     def events(self) -> EventLog:
         """Events of the run, by instant."""
         return EventLog(self.time, self.frames.events)
-
-
-def json_default(value: object) -> object:
-    """Convert NumPy arrays and scalars for JSON."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"cannot write {type(value).__name__} as JSON")
 
 
 def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
@@ -243,13 +208,13 @@ def write_variables(values: object) -> dict[str, Variable]:
     }
 
 
-def read_variables(kind: type[FieldsT], data: "xarray.Dataset") -> FieldsT:
+def read_variables(kind: type[FieldsT], data: RunData) -> FieldsT:
     """Read a named tuple of recorded fields; None where the run does not have a field."""
     # The file keeps the kind of a number, but a user's own tool may have written doubles.
     values: dict[str, Any] = dict.fromkeys(get_type_hints(kind))
     for name, field in recorded_fields(kind).items():
-        if name in data.variables:
-            values[name] = np.asarray(data[name].values, dtype=field.dtype)
+        if name in data:
+            values[name] = np.asarray(data[name], dtype=field.dtype)
     return kind(**values)
 
 
@@ -269,11 +234,13 @@ def recorded_fields(kind: type) -> dict[str, Recorded]:
 
 
 def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
-    return (*leading, *field.dims), values, {"units": field.unit, "long_name": field.meaning}
+    return Variable(
+        (*leading, *field.dims), values, {"units": field.unit, "long_name": field.meaning}
+    )
 
 
-def _check_format(file: Path, data: "xarray.Dataset") -> None:
-    lacking = [name for name in ("time", "position", "event") if name not in data.variables]
+def _check_format(file: Path, data: RunData) -> None:
+    lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
     version = int(data.attrs.get("format", 1))
@@ -289,16 +256,12 @@ def _check_format(file: Path, data: "xarray.Dataset") -> None:
     kinds = [system.frame, CommonVariables, *filter(None, [system.run_variables])]
     fields = {name: field for kind in kinds for name, field in recorded_fields(kind).items()}
     needed = sorted(name for name, field in fields.items() if not field.is_optional)
-    _raise_if_missing(file, [name for name in needed if name not in data.variables])
+    _raise_if_missing(file, [name for name in needed if name not in data])
 
 
 def _raise_if_missing(file: Path, lacking: list[str]) -> None:
     if lacking:
         raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
-
-
-def _is_compressible(variable: "xarray.Variable") -> bool:
-    return variable.ndim > 1 and variable.dtype.kind in "biuf"
 
 
 def _read_summary(file: Path) -> dict[str, Any]:

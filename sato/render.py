@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from errno import EIO
 from pathlib import Path
 from subprocess import CalledProcessError
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib
 from matplotlib.animation import FFMpegWriter, PillowWriter
@@ -15,21 +15,19 @@ from matplotlib.figure import Figure
 
 from sato.atomic import replace_atomically
 from sato.figures.style import STYLE
+from sato.run_data import RunData
 from sato.scenario.errors import InputError
 from sato.systems import load_system
-
-if TYPE_CHECKING:
-    import xarray
 
 MAX_FRAMES = 300
 _MARK = "figure of a run, by sato"  # in the metadata of a figure, by which old ones are found
 
 
-def draw_figures(data: "xarray.Dataset", mission: Any) -> dict[str, Figure]:
+def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
     """Draw every figure of a run.
 
     Args:
-        data: Dataset of the run.
+        data: Data of the run.
         mission: Mission that was flown, drawn.
 
     Returns:
@@ -42,11 +40,11 @@ def draw_figures(data: "xarray.Dataset", mission: Any) -> dict[str, Figure]:
     return figures
 
 
-def plot(data: "xarray.Dataset", mission: Any, directory: Path, pdf: bool = False) -> list[Path]:
+def plot(data: RunData, mission: Any, directory: Path, pdf: bool = False) -> list[Path]:
     """Draw every figure of a run into a directory, in place of figures of earlier runs.
 
     Args:
-        data: Dataset of the run.
+        data: Data of the run.
         mission: Mission that was flown, drawn.
         directory: Made if it is missing.
         pdf: PDF instead of PNG.
@@ -85,7 +83,7 @@ def write_figures(figures: Mapping[str, Figure], directory: Path, pdf: bool = Fa
 
 
 def animate(
-    data: "xarray.Dataset",
+    data: RunData,
     mission: Any,
     directory: Path,
     fps: int = 20,
@@ -95,7 +93,7 @@ def animate(
     """Animate a run.
 
     Args:
-        data: Dataset of the run.
+        data: Data of the run.
         mission: Mission that was flown, drawn.
         directory: Made if it is missing.
         fps: Frames per second.

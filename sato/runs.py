@@ -23,6 +23,7 @@ from sato.check.report import Report
 from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
+from sato.run_data import RunData
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.scenario.origin import Origin
@@ -41,9 +42,14 @@ FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 class Run:
     """Mission that was flown: its data, its summary, and the mission itself."""
 
-    data: "xarray.Dataset"
+    recorded: RunData
     summary: dict[str, Any]
     mission: Any | None = None  # not drawn; None where a file holds a model of the user's own
+
+    @cached_property
+    def data(self) -> "xarray.Dataset":
+        """Data of the run as an xarray dataset, in which no change changes the run."""
+        return self.recorded.to_xarray().copy(deep=True)
 
     @cached_property
     def drawn_mission(self) -> Any:
@@ -57,46 +63,46 @@ class Run:
                 "this run has a model of your own, which no file can hold; give its mission: "
                 "sato.load(path, mission=...)"
             )
-        return self.mission.draw(np.random.default_rng(int(self.data.attrs["seed"])))
+        return self.mission.draw(np.random.default_rng(int(self.recorded.attrs["seed"])))
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Return the events in the order of time; of the given kinds only, if any."""
-        log = EventLog.from_dataset(self.data)
+        log = EventLog.from_data(self.recorded)
         return [event for event in log.events if not kinds or event["kind"] in kinds]
 
     def check(self) -> Report:
         """Check the run by recomputing what its data and its summary say."""
         from sato.verify import verify_run
 
-        return verify_run(self.data, self.mission, self.summary)
+        return verify_run(self.recorded, self.mission, self.summary)
 
     def figures(self) -> dict[str, "matplotlib.figure.Figure"]:
         """Draw the figures of the run, by name."""
         from sato.render import draw_figures
 
-        return draw_figures(self.data, self.drawn_mission)
+        return draw_figures(self.recorded, self.drawn_mission)
 
     def plot(self, directory: str | Path, pdf: bool = False) -> list[Path]:
         """Write the figures of the run as PNG, or PDF, in place of figures of earlier runs."""
         from sato.render import plot
 
-        return plot(self.data, self.drawn_mission, Path(directory), pdf)
+        return plot(self.recorded, self.drawn_mission, Path(directory), pdf)
 
     def animate(self, directory: str | Path, **options: Any) -> Path:
         """Write an animation of the run; options as in `sato.render.animate`."""
         from sato.render import animate
 
-        return animate(self.data, self.drawn_mission, Path(directory), **options)
+        return animate(self.recorded, self.drawn_mission, Path(directory), **options)
 
     def export(self, path: str | Path, format: str = "oem") -> Path:
         """Write the trajectories for other tools, see `sato.export`."""
         from sato.export import export
 
-        return export(self.data, path, format)
+        return export(self.recorded, path, format)
 
     def save(self, directory: str | Path) -> Path:
         """Write run.nc and summary.json into a directory, and return it."""
-        record.save(self.data, self.summary, Path(directory))
+        record.save(self.recorded, self.summary, Path(directory))
         return Path(directory)
 
     def __repr__(self) -> str:
@@ -145,7 +151,7 @@ def run(
         bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
         with bar as callback:
             frames, stopped = _collect_frames(system, drawn, rng, callback)
-        data = record.build_dataset(
+        data = record.collect_run_data(
             system,
             frames,
             drawn,

@@ -3,28 +3,26 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from math import isclose
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sato.check import common
 from sato.check.report import Promise, Report, expect_none
-from sato.record import RunFileError, RunRecord, compute_digest, initial_summary
+from sato.record import RunFileError, RunRecord, initial_summary
+from sato.run_data import RunData
 from sato.scenario.file import load_toml
 from sato.scenario.origin import Origin
 from sato.systems import load_system
 
-if TYPE_CHECKING:
-    import xarray
-
 
 def verify_run(
-    data: "xarray.Dataset", mission: Any | None, summary: Mapping[str, Any] | None = None
+    data: RunData, mission: Any | None, summary: Mapping[str, Any] | None = None
 ) -> Report:
     """Check a run by recomputing what its data and its summary say.
 
     Args:
-        data: Dataset of the run.
+        data: Data of the run.
         mission: Mission of the run, not drawn; without it, only what needs no mission is
             recomputed, and the report lists the rest as skipped.
         summary: Summary to be checked too, if there is one.
@@ -32,7 +30,7 @@ def verify_run(
     Raises:
         RunFileError: The file was altered so that nothing can be recomputed.
     """
-    is_unaltered = data.attrs.get("digest") == compute_digest(data)
+    is_unaltered = data.attrs.get("digest") == data.compute_digest()
     try:
         found = _check_without_mission(data) if mission is None else _check(data, mission)
     except (LookupError, TypeError, ValueError, RuntimeError) as error:
@@ -49,7 +47,7 @@ def verify_run(
     return replace(report, promises=(*report.promises, last))
 
 
-def _check_scenario(data: "xarray.Dataset") -> Promise:
+def _check_scenario(data: RunData) -> Promise:
     # A file or a mission from Python may be anything, and the report says so.
     name, text = "scenario", str(data.attrs["scenario"])
     try:
@@ -63,14 +61,14 @@ def _check_scenario(data: "xarray.Dataset") -> Promise:
     return Promise(name, True, 0.0, 0.0, str(origin))
 
 
-def _check(data: "xarray.Dataset", mission: Any) -> Report:
+def _check(data: RunData, mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
     drawn = mission.draw(rng)
     return load_system(data.attrs["system"]).check(data, drawn, rng)
 
 
-def _check_without_mission(data: "xarray.Dataset") -> Report:
-    record: RunRecord[None, Any, Any] = RunRecord.from_dataset(data, None)
+def _check_without_mission(data: RunData) -> Report:
+    record: RunRecord[None, Any, Any] = RunRecord.from_data(data, None)
     frames = record.frames
     promises = [
         common.check_finite(frames.alive, frames.position, frames.velocity),
@@ -85,7 +83,7 @@ def _check_without_mission(data: "xarray.Dataset") -> Report:
 
 
 def _check_summary(
-    data: "xarray.Dataset", summary: Mapping[str, Any], report: Report, is_unaltered: bool
+    data: RunData, summary: Mapping[str, Any], report: Report, is_unaltered: bool
 ) -> Promise:
     first = initial_summary(data.attrs)
     if not _differs(summary, first):

@@ -4,7 +4,7 @@ import numpy as np
 
 from sato.formation.loop import simulate
 from sato.formation.system import SYSTEM
-from sato.record import build_dataset
+from sato.record import collect_run_data
 from sato.scenario.file import parse
 
 FIVE = """
@@ -36,8 +36,8 @@ def fly(*settings, seed=2, text=FIVE):
 
 
 def dataset(mission, frames, stopped=""):
-    """Return the dataset of a run."""
-    return build_dataset(
+    """Return the data of a run."""
+    return collect_run_data(
         SYSTEM, frames, mission, scenario="", name="test", seed=3, version="0", wall_s=1.0,
         peak_memory_mib=1.0, stopped=stopped,
     )  # fmt: skip

@@ -12,7 +12,8 @@ from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
-from sato.record import build_dataset, initial_summary
+from sato.record import collect_run_data, initial_summary
+from sato.run_data import RunData
 from sato.runs import Run
 from sato.scenario.origin import Origin
 from sato.shapes import Points
@@ -31,7 +32,7 @@ def record_run(system, frames, mission, definition=None, **attributes):
     about = {"name": mission.name, "seed": 3, "version": "0", "wall_s": 1.0, "peak_memory_mib": 1.0}
     about |= {"origin": Origin("python").to_json()}
     text = "" if definition is None else definition.to_toml()
-    data = build_dataset(system, list(frames), mission, scenario=text, **(about | attributes))
+    data = collect_run_data(system, list(frames), mission, scenario=text, **(about | attributes))
     return Run(data, initial_summary(data.attrs), definition)
 
 
@@ -42,7 +43,7 @@ def recorded(mission, frames=None, **options):
 
 def check(run, mission=None, seed=0):
     """Check a run, as one of another mission if one is given."""
-    return check_run(run.data, mission or run.mission, np.random.default_rng(seed))
+    return check_run(run.recorded, mission or run.mission, np.random.default_rng(seed))
 
 
 def broken(run, mission=None):
@@ -52,12 +53,18 @@ def broken(run, mission=None):
 
 def altered(run, names, where, value=None, by=0.0):
     """Return the run with variables altered in one place: set to a value, or shifted."""
-    data = run.data.copy(deep=True)
+    variables = dict(run.recorded.variables)
     for name in names.split():
-        values = data[name].values.copy()  # coordinates are read-only
+        values = run.recorded[name].copy()
         values[where] = values[where] + by if value is None else value
-        data[name] = (data[name].dims, values, data[name].attrs)
-    return replace(run, data=data, summary=dict(run.summary))
+        variables[name] = variables[name]._replace(values=values)
+    data = replace(run.recorded, variables=variables)
+    return replace(run, recorded=data, summary=dict(run.summary))
+
+
+def with_data(run, data):
+    """Return the run with the data of a dataset."""
+    return replace(run, recorded=RunData.from_xarray(data))
 
 
 def in_order(states):

@@ -30,7 +30,7 @@ from sato.reconfiguration.commitment import choose_offers, improve
 from sato.reconfiguration.offers import Offers, make_offers
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import AgentMemory, DecisionContext
-from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
+from sato.reconfiguration.stopping import end_at_rest, stop_at_once, stopping_horizon
 
 NORMS = (1, 2, "inf")
 ROUNDING = 1e-9
@@ -47,7 +47,7 @@ def decide_by_messages(offers, graph, rank):
             offers.plan_steps,
             offers.steps[[a]],
             offers.horizon,
-            offers.u[[a]],
+            offers.u[[a], :],
             offers.paths[[a], :, : offers.steps[a] * pieces],
             offers.is_allowed[[a]],
             offers.clearance[[a]],
@@ -106,6 +106,20 @@ def test_stop_at_once_rests_within_the_limit_in_fewest_steps(rng, norm):
         assert limit.measure(v) > (len(u) - 1) * limit.most * h or not len(u)
 
 
+def test_many_end_at_rest_as_each_alone_under_limits_of_its_own(rng):
+    mission = make_mission(row(3, 0.0), sato.Leg(row(3, 3.0), 14), max_control=[0.1, 0.2, 0.4])
+    agents = rng.integers(0, 3, 40)
+    velocity, steps = rng.normal(0, 0.5, (40, 2)), rng.integers(0, 6, 40)
+    u = 0.1 * rng.normal(size=(40, 5, 2))
+    found, length = end_at_rest(mission, agents, velocity, u, steps)
+    for a, i in enumerate(agents.tolist()):
+        begun, limit = u[a, : steps[a]], mission.planned_control_limit(i)
+        left = velocity[a] + mission.step * begun.sum(axis=0)
+        alone = np.vstack([begun, stop_at_once(limit, left, mission.step)])
+        np.testing.assert_allclose(found[a, : length[a]], alone, atol=1e-15)
+        assert length[a] == len(alone) and not found[a, length[a] :].any()
+
+
 def test_offers_keep_the_limit_begin_as_planned_and_end_at_rest(decisions):
     seen = 0
     for (context, plans, committed), _ in decisions:
@@ -113,14 +127,14 @@ def test_offers_keep_the_limit_begin_as_planned_and_end_at_rest(decisions):
         none = np.zeros((0, d))
         offers = make_offers(context, plans, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
-        x = offers.horizon.discrete_model.simulate(start, offers.u)
+        x = offers.horizon.discrete_model.simulate(start, offers.u[:, :])
         for a, i in enumerate(offers.agents.tolist()):
             limit = mission.control_limit(i)
-            assert limit.measure(offers.u[a]).max() <= limit.most * (1 + ROUNDING)
+            assert limit.measure(offers.u[a, :]).max() <= limit.most * (1 + ROUNDING)
             rest = x[a, :, offers.steps[a] - 1 :, d:]
             assert np.abs(rest).max() <= 1e-9 * limit.most * mission.step
             held = committed[i].controls_from(context.instant) if i in committed else none
-            for q, u in zip(offers.plan_steps, offers.u[a], strict=True):
+            for q, u in zip(offers.plan_steps, offers.u[a, :], strict=True):
                 begun = limit.cut(plans[i].trajectory.u[:q]) if q else held
                 np.testing.assert_array_equal(u[: len(begun)], begun)
                 seen += len(begun)
@@ -138,8 +152,8 @@ def test_offers_that_are_allowed_stay_within_reach(decisions):
         }
         offers = make_offers(context, hasty, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
-        x = offers.horizon.discrete_model.simulate(start, offers.u)
-        dense = sample(x, offers.u, mission.step, 20)
+        x = offers.horizon.discrete_model.simulate(start, offers.u[:, :])
+        dense = sample(x, offers.u[:, :], mission.step, 20)
         reach = (mission.comm_radius - offers.horizon.clearance) / 2
         away = np.zeros(offers.is_allowed.shape)
         for k in range(offers.horizon.steps):

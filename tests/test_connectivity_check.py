@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from recorded_run import record_run
+from recorded_run import record_run, with_data
 
 from sato.check.common import find_closest_approach
 from sato.connectivity.check import ConnectivityRecord, check_run
@@ -30,20 +30,20 @@ def run_of(mission, frames, **attributes):
 
 
 def broken(run, mission):
-    return {p.name for p in check_run(run.data, mission).broken}
+    return {p.name for p in check_run(run.recorded, mission).broken}
 
 
 def altered(run, name, change):
     """Change one variable of a run at the hundredth instant."""
     was, values = run.data[name], run.data[name].values.copy()
     values[100] = change(values[100])
-    return replace(run, data=run.data.assign({name: (was.dims, values, was.attrs)}))
+    return with_data(run, run.data.assign({name: (was.dims, values, was.attrs)}))
 
 
 def retold(run, events):
     """Replace the events of a run."""
     text = np.array([json.dumps(event) for event in events], dtype=object)
-    return replace(run, data=run.data.drop_vars("event").assign(event=("event", text)))
+    return with_data(run, run.data.drop_vars("event").assign(event=("event", text)))
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def honest():
 )
 def test_unaltered_run_keeps_all_promises(settings):
     run, mission = flown(*settings)
-    report = check_run(run.data, mission)
+    report = check_run(run.recorded, mission)
     assert report.kept, report.broken
     assert report.summary["success"] is True
 
@@ -120,9 +120,9 @@ def test_collision_with_an_obstacle_or_an_agent_is_detected(honest):
     assert {"obstacles", "flight"} <= broken(at_obstacle, mission)
     at_another = altered(run, "position", lambda p: np.vstack([p[1] + [0.9, 0, 0], p[1:]]))
     assert {"separation", "flight"} <= broken(at_another, mission)
-    said = check_run(at_another.data, mission).summary
+    said = check_run(at_another.recorded, mission).summary
     assert said["min_separation_m"] <= 0.9
-    assert check_run(at_obstacle.data, mission).summary["min_obstacle_distance_m"] < 0
+    assert check_run(at_obstacle.recorded, mission).summary["min_obstacle_distance_m"] < 0
 
 
 def test_missing_and_invented_events_are_detected():
@@ -138,7 +138,7 @@ def test_missing_and_invented_events_are_detected():
 
 def test_weights_by_range_alone_lose_connectivity_and_fail():
     run, mission = flown("camera.blind=true", "estimator.kind=exact")
-    report = check_run(run.data, mission)
+    report = check_run(run.recorded, mission)
     assert {p.name for p in report.broken} == {"connectivity"}
     assert report.summary["success"] is False and report.summary["lambda2_min"] <= 0.01
     (lost,) = report.broken
@@ -152,7 +152,7 @@ def test_incomplete_flight_is_no_success(honest):
     frames = list(simulate(mission, np.random.default_rng(1)))[:40]
     run = run_of(mission, frames, stopped="interrupted")
     assert broken(run, mission) == {"complete"}
-    assert check_run(run.data, mission).summary["success"] is False
+    assert check_run(run.recorded, mission).summary["success"] is False
     unsaid = run_of(mission, frames)
     assert broken(unsaid, mission) == {"complete"}
 
@@ -169,7 +169,7 @@ def test_run_of_another_mission_is_detected(honest):
 
 def test_summary_agrees_with_the_data(honest):
     run, mission = honest
-    said, data = check_run(run.data, mission).summary, run.data
+    said, data = check_run(run.recorded, mission).summary, run.data
     assert said["lambda2_min"] == data["lambda2"].values.min()
     off = data["lambda2_estimate"].values - data["lambda2"].values[:, None]
     assert said["lambda2_error_mean"] == pytest.approx(np.nanmean(np.abs(off)))
@@ -190,7 +190,7 @@ def test_summary_agrees_with_the_data(honest):
 def test_quantities_without_a_value_are_absent_from_the_summary():
     held = 'stick={kind="recorded", times_s=[0], velocities_m_s=[[0, 0, 0]]}'
     run, mission = flown("agents=2", "obstacles.count=0", held)
-    said = check_run(run.data, mission).summary
+    said = check_run(run.recorded, mission).summary
     assert "min_obstacle_distance_m" not in said and said["waypoints"] == 0
 
 
@@ -223,7 +223,7 @@ def test_recorded_velocity_is_in_the_world_frame(honest):
     run, mission = honest
     p, v = run.data["position"].values, run.data["velocity"].values
     assert np.diff(p, axis=0) / mission.step == pytest.approx(v[1:], abs=0.1)
-    record = ConnectivityRecord.from_dataset(run.data, mission)
+    record = ConnectivityRecord.from_data(run.recorded, mission)
     error = np.abs(record.frames.yaw_estimate_error[0][record.frames.visibility[0]])
     assert error.max() <= 0.5 and error.max() > 0.05  # as drawn, but for the first correction
     frame = next(simulate(mission, np.random.default_rng(0)))

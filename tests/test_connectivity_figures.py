@@ -61,9 +61,9 @@ VARIANTS = {
 def flown(variant):
     rng = np.random.default_rng(1)
     mission = read("connectivity", list(VARIANTS[variant])).draw(rng)
-    data = record_run(SYSTEM, list(simulate(mission, rng)), mission).data
+    data = record_run(SYSTEM, list(simulate(mission, rng)), mission).recorded
     assert list(SYSTEM.figures(data, mission)) == list(FIGURES)
-    return ConnectivityRecord.from_dataset(data, mission)
+    return ConnectivityRecord.from_data(data, mission)
 
 
 @cache

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from recorded_run import with_data
 from test_connectivity_check import QUADROTOR, SHAKEN, broken, flown
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
@@ -33,7 +34,7 @@ def hiding():
 def told(run, **values):
     """Replace some variables of a run."""
     data = {name: (run.data[name].dims, new) for name, new in values.items()}
-    return replace(run, data=run.data.assign(data))
+    return with_data(run, run.data.assign(data))
 
 
 def weighing(run, weight):
@@ -97,8 +98,8 @@ def test_stick_commands_to_a_lost_leader_are_detected():
 @pytest.mark.parametrize("plant", ['plant={kind="kinematic"}', QUADROTOR])
 def test_occlusion_by_robots_is_checked(plant):
     run, mission = flown(plant, *HIDING)
-    record = ConnectivityRecord.from_dataset(run.data, mission)
-    clear = ConnectivityRecord.from_dataset(run.data, replace(mission, occlusion=False)).views
+    record = ConnectivityRecord.from_data(run.recorded, mission)
+    clear = ConnectivityRecord.from_data(run.recorded, replace(mission, occlusion=False)).views
     covered = (clear.weight > 0) & (record.views.weight == 0)
     assert covered.any()
     assert broken(weighing(run, clear.weight), mission) == {"weights"}

@@ -68,7 +68,7 @@ def test_a_slice_of_steps_continues_the_trajectory(rng):
     assert (len(steps[3:]), steps.axes, steps[3:].dt) == (4, 2, steps.dt)
 
 
-def test_steps_of_each_agent_are_sliced_in_time_and_simulated_apart(rng):
+def test_steps_of_each_agent_are_sliced_in_time_and_simulated(rng):
     shared = [random_steps(rng, 4) for _ in range(4)]
     own = DiscreteModel(*(np.stack([getattr(s, k) for s in shared]) for k in "ABz"), 1.0)
     x, u = rng.normal(size=(4, 4)), rng.normal(size=(4, 4, 2))
@@ -77,8 +77,8 @@ def test_steps_of_each_agent_are_sliced_in_time_and_simulated_apart(rng):
     for i in range(4):
         expected = shared[i][1:].simulate(x[i], u[i, 1:])
         assert_array_equal(later.for_agent(i).simulate(x[i], u[i, 1:]), expected)
-    with pytest.raises(ValueError, match=r"agents of shape \(4,\).*`for_agent\(i\)"):
-        own.simulate(x, u)
+    together = later.simulate(x, u[:, 1:])
+    assert_allclose(together, [later.for_agent(i).simulate(x[i], u[i, 1:]) for i in range(4)])
 
 
 def test_a_time_invariant_model_has_the_same_steps_at_all_times():

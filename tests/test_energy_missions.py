@@ -96,7 +96,7 @@ def test_the_summary_tells_energy_and_its_lower_bound():
 def test_no_leg_takes_less_energy_than_its_lower_bound(noise):
     mission = crossing_rows(objective="energy", disturbance=noise)
     run = recorded(mission, fly(mission))
-    record, forged = (ReconfigurationRecord.from_dataset(run.data, mission) for _ in range(2))
+    record, forged = (ReconfigurationRecord.from_data(run.recorded, mission) for _ in range(2))
     energy, [bound] = float(compute_step_energy(record).sum()), record.energy_bounds
     assert check_fuel(record).kept
     assert (bound.bound <= energy * (1 + 1e-9)) == (noise == 0)  # which helps on the way

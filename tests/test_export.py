@@ -2,6 +2,7 @@
 
 import csv
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,9 +28,8 @@ def about():
 @pytest.fixture(scope="module")
 def run(about):
     """Two legs of twelve craft about a chief; one is lost between them."""
-    data = recorded(about).data
-    data.attrs["epoch"] = "2027-02-03T04:05:06.500000"
-    return data
+    data = recorded(about).recorded
+    return replace(data, attrs={**data.attrs, "epoch": "2027-02-03T04:05:06.500000"})
 
 
 @pytest.fixture(scope="module")
@@ -97,11 +97,11 @@ def test_times_are_said_to_the_nanosecond_only_where_they_need_it(run):
     ]  # fmt: skip
     third = np.array([1 / 3])
     assert format_utc(run, third) == ["2027-02-03T04:05:06.833333333"]
-    assert format_utc(recorded(make_mission()).data, np.zeros(1)) == ["2026-01-01T00:00:00.000"]
+    assert format_utc(recorded(make_mission()).recorded, np.zeros(1)) == ["2026-01-01T00:00:00.000"]
 
 
 def test_an_agent_seen_once_is_written_without_an_interpolation(about, tmp_path):
-    once = recorded(about, fly_straight(about)[:1]).data
+    once = recorded(about, fly_straight(about)[:1]).recorded
     path = export(once, tmp_path / "oem") / "agent-05.oem"
     assert len(states(path)) == 1
     assert "INTERPOLATION" not in OrbitEphemerisMessage.open(path).segments[0].metadata
@@ -126,14 +126,14 @@ def test_the_table_holds_every_state_in_both_frames_to_the_last_bit(run, tmp_pat
         "agent-02", "780.0", "2027-02-03T04:18:06.500",
     )  # fmt: skip
     x = [float(row[name]) for name in lvlh]
-    assert x[:3] == list(run["position"].values[13, 2])
+    assert x[:3] == list(run["position"][13, 2])
     there = [float(row[name.replace("lvlh", "inertial")]) for name in lvlh]
     x = np.concatenate([run["position"], run["velocity"]], axis=-1)
     np.testing.assert_array_equal(there, frame.to_inertial(x)[13, 2])
 
 
 def test_a_run_without_a_chief_has_a_table_of_its_own_axes_alone(tmp_path):
-    table = rows(export(recorded(make_mission()).data, tmp_path / "new" / "plane.csv", "csv"))
+    table = rows(export(recorded(make_mission()).recorded, tmp_path / "new" / "plane.csv", "csv"))
     assert list(table[0]) == ["object", "time_s", "x_m", "y_m", "vx_m_s", "vy_m_s"]
     assert {row["object"] for row in table} == {f"agent-{j}" for j in range(7)}
 
@@ -159,7 +159,7 @@ def test_what_is_no_export_is_not_replaced(run, tmp_path):
     with pytest.raises(ValueError, match='no format "stk", only oem and csv'):
         export(run, tmp_path / "x", "stk")
     with pytest.raises(ValueError, match=r"needs a \[chief\].* csv"):
-        export(recorded(make_mission()).data, tmp_path / "oem")
+        export(recorded(make_mission()).recorded, tmp_path / "oem")
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "years of work"
 

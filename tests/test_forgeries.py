@@ -9,7 +9,8 @@ import xarray
 from recorded_run import make_crossing, recorded
 
 import sato
-from sato.record import compute_digest, initial_summary
+from sato.record import initial_summary
+from sato.run_data import RunData
 from sato.runs import Run
 from sato.scenario.origin import Origin
 
@@ -51,9 +52,8 @@ def forged(run, events=None, attrs=None, data=None, **variables):
         texts = np.array([json.dumps(event) for event in ordered], dtype=object)
         data = data.drop_vars("event").assign(event=("event", texts, run.data["event"].attrs))
     data.attrs |= attrs or {}
-    data.attrs["digest"] = compute_digest(data)
     mission = sato.parse(data.attrs["scenario"]) if "scenario" in (attrs or {}) else run.mission
-    return Run(data, initial_summary(data.attrs), mission)
+    return Run(RunData.from_xarray(data).seal(), initial_summary(data.attrs), mission)
 
 
 def broken(run):

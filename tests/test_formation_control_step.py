@@ -76,12 +76,16 @@ def crowded(seed, agents=8, separation=1.5):
     return np.column_stack([flat, rng.uniform(0, 3, agents)])
 
 
+def step(state, held, parameters, number, rng):
+    simulate_steps(state, held, held.find_neighbors(parameters), parameters, number, 1, rng)
+
+
 def simulate(parameters, start, count, own_roles=None, seed=0):
     """Yield a copy of the state after every step."""
     delay, rng = parameters.message_delay, np.random.default_rng(seed)
-    state = FormationState.at_rest(start, delay)
+    state, held = FormationState.at_rest(start, delay), own_roles or roles(len(start))
     for number in range(count):
-        simulate_steps(state, own_roles or roles(len(start)), parameters, number, 1, rng)
+        step(state, held, parameters, number, rng)
         yield FormationState(*(array.copy() for array in state))
 
 
@@ -102,8 +106,8 @@ def test_motion_does_not_depend_on_the_coordinate_frames(seed):
         seen = turn * (one.tracks @ [[1, 0], [1j, 0], [0, 1], [0, 1j]])
         other.tracks[..., ::2], other.tracks[..., 1::2] = seen.real, seen.imag
         other.wander_direction[:] *= np.conj(rotation)
-        simulate_steps(one, roles(), aligned, number, 1, rng)
-        simulate_steps(other, roles(), turned, number, 1, rng)
+        step(one, roles(), aligned, number, rng)
+        step(other, roles(), turned, number, rng)
         assert other.velocity == pytest.approx(one.velocity, abs=1e-10)
         assert np.array_equal(one.avoiding, other.avoiding)
         found, expected = (u.velocity_command[:, :2] @ [1, 1j] for u in (other, one))
@@ -258,11 +262,9 @@ def test_legacy_acceleration_is_limited_on_each_axis():
 def towards(anchors):
     """Return formation data and roles of agents that fly to anchors, which hover."""
     n = len(anchors)
-    xy, z = np.zeros((2 * n, 2 * n), dtype=complex), np.zeros((2 * n, 2 * n))
-    xy[np.arange(n), np.arange(n, 2 * n)] = 1.0
-    neighbors = np.full((2 * n, 1), -1)
-    neighbors[:n, 0] = np.arange(n, 2 * n)
-    data = FormationData(xy, z, np.zeros((2 * n, 3)), neighbors, np.zeros((2 * n, 2 * n)))
+    none = np.zeros((2 * n, 1))
+    neighbors = np.append(np.arange(n, 2 * n), np.full(n, -1))[:, None]
+    data = FormationData(neighbors, (neighbors >= 0) + 0j, none, none, none, none)
     return data, roles(2 * n, active=np.arange(2 * n) < n)
 
 
@@ -334,7 +336,7 @@ def test_agent_that_is_blocked_again_wanders_for_longer(before, times):
     state.avoiding[0], state.blocked_time[0] = True, RULES.blocked_time
     state.wander_count[0] = before
     own_roles, rng = roles(active=np.arange(8) == 0), np.random.default_rng(0)
-    simulate_steps(state, own_roles, swarm(frames(), data), 0, 1, rng)
+    step(state, own_roles, swarm(frames(), data), 0, rng)
     assert state.blocked_time[0] == pytest.approx(-times * RULES.wander_time)
     state.begin_way(np.array([0]))
     assert state.blocked_time[0] == state.wander_count[0] == 0

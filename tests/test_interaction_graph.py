@@ -7,6 +7,7 @@ import pytest
 from problems.interaction_graph import (
     Camera,
     algebraic_connectivity,
+    connectivity_eigenvalues,
     interaction_graph,
     lambda2_gradient,
     laplacian,
@@ -81,6 +82,16 @@ def test_weights_and_gradient_agree_with_the_printed_formulas():
                     slope += felt[i, j] * np.asarray(by).ravel()
             whole = lambda2_gradient(position, yaw, SIGHT)
             assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
+
+
+def test_eigenvalues_of_members_are_those_of_the_graph_without_others(rng):
+    weight = np.triu(rng.uniform(size=(7, 7)), 1)
+    weight, members = weight + weight.T, np.array([True, False, True, True, False, True, True])
+    alone = np.linalg.eigvalsh(laplacian(weight[np.ix_(members, members)]))
+    found = algebraic_connectivity(weight, members)
+    for values in (connectivity_eigenvalues(weight, members), found[:2]):
+        assert np.array(values) == pytest.approx(alone[1:3])
+    assert np.isinf(connectivity_eigenvalues(weight, members & (np.arange(7) < 2))).all()
 
 
 def test_coinciding_agents_have_zero_weights_and_gradient():

@@ -5,6 +5,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from reconfiguration_runs import make_mission, row
+from recorded_run import altered
 
 import sato
 from sato.reconfiguration import loop
@@ -74,11 +75,8 @@ def test_a_vehicle_without_room_at_its_step_is_refused_and_the_run_is_kept():
     assert (refused["time"], refused["agents"]) == (1.0, [3])
     assert not run.events("join") and not run.data.alive.values[:, 3].any()
     assert run.summary["reached"] and run.check().kept
-    events = run.data["event"].values
-    run.data["event"] = (
-        "event",
-        np.where(["refused" in str(e) for e in events], events[:1], events),
-    )
+    events = run.recorded["event"]
+    run = altered(run, "event", ["refused" in str(e) for e in events], events[0])
     assert "alive" in {promise.name for promise in run.check().broken}
 
 

@@ -66,6 +66,18 @@ def test_solutions_arrive_within_limits_at_the_fuel_of_their_controls(rng, steps
     assert np.isnan(result.u[~found]).all() and np.isposinf(result.fuel[~found]).all()
 
 
+def test_dynamics_of_each_program_give_the_same_as_program_by_program(rng):
+    own = [discretize_zoh(ClohessyWiltshire(n), 60.0, 12) for n in (1.0e-3, 1.1e-3, 1.2e-3)]
+    steps = DiscreteModel(*(np.stack([getattr(one, k) for one in own]) for k in "ABz"), 60.0)
+    b, weight = terminal_states(orbit[:12], rng.uniform(-0.01, 0.01, (3, 12, 3))), np.ones(12)
+    b[1] *= 1e3  # out of reach
+    together = solve_minimum_fuel(steps, b, 0.02, weight)
+    alone = [solve_minimum_fuel(one, b[[q]], 0.02, weight) for q, one in enumerate(own)]
+    assert np.isinf(together.fuel).tolist() == [False, True, False]
+    assert_allclose(together.fuel, [one.fuel[0] for one in alone])
+    assert_allclose(together.u, [one.u[0] for one in alone], atol=1e-12)
+
+
 @settings(deadline=None, max_examples=25)
 @given(seeds, any_model)
 def test_fuel_is_even_homogeneous_convex_and_falls_with_the_limit(seed, steps):

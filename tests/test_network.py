@@ -33,6 +33,15 @@ def all_hops(graph: CommunicationGraph) -> np.ndarray:
 
 
 @LAW
+@given(networks(), st.randoms(use_true_random=False))
+def test_pairs_of_neighbors_are_those_of_the_adjacency_in_order(graph, random):
+    agents = random.sample(range(len(graph.alive)), random.randint(0, len(graph.alive)))
+    i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(agents, agents)]))
+    found = graph.pairs_among(agents)
+    assert np.array_equal(found[0], i) and np.array_equal(found[1], j)
+
+
+@LAW
 @given(networks())
 def test_diameter_is_learned_after_three_eccentricities(graph):
     hops = all_hops(graph)

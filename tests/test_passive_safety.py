@@ -68,7 +68,7 @@ def sample_drifts(run, every=20.0, duration=6000.0):
 
 
 def read(run):
-    return ReconfigurationRecord.from_dataset(run.data, run.drawn_mission)
+    return ReconfigurationRecord.from_data(run.recorded, run.drawn_mission)
 
 
 def test_all_drifts_after_a_thrust_keep_the_distance(safe):

@@ -16,6 +16,7 @@ from recorded_run import (
     make_crossing,
     make_mission,
     recorded,
+    with_data,
 )
 from typer.testing import CliRunner
 
@@ -105,7 +106,7 @@ def test_altered_time_or_target_index_is_found_at_any_instant(flown, instant):
     for agent, value in [(0, 8), (3, -1), (2, 5)]:
         if int(flown.data["target_index"][instant, agent]) != value:
             run = altered(flown, "target_index", (instant, agent), value)
-            record = ReconfigurationRecord.from_dataset(run.data, run.mission)
+            record = ReconfigurationRecord.from_data(run.recorded, run.mission)
             assert not check_assignment(record).kept
 
 
@@ -119,7 +120,7 @@ def with_events(run, change):
     """Return the run with changed events."""
     events = [json.loads(str(event)) for event in run.data["event"].values]
     texts = np.array([json.dumps(event) for event in change(events)], dtype=object)
-    return replace(run, data=run.data.drop_vars("event").assign(event=("event", texts)))
+    return with_data(run, run.data.drop_vars("event").assign(event=("event", texts)))
 
 
 def without(kind):
@@ -167,8 +168,7 @@ def test_missed_target_is_a_leg_not_reached():
     about = make_mission()
     moved = about.legs[0].targets + np.array([0, 2e-6, 0, 0])
     elsewhere = replace(about, legs=(replace(about.legs[0], shape=in_order(moved)), about.legs[1]))
-    run = recorded(about)
-    run.data["target_position"][0] = moved[:, :2]
+    run = altered(recorded(about), "target_position", 0, moved[:, :2])
     report = check(run, elsewhere)
     assert [p.name for p in report.broken] == ["reached"]
     first, second = report.summary["legs"]
@@ -209,7 +209,7 @@ def test_fuel_is_the_norm_of_the_commanded_control_over_time(flown):
 @pytest.mark.parametrize("speed", [1.0, 0.45])
 def test_fuel_bound_is_the_optimal_assignment_of_problem_6(flown, speed):
     about, total, own = make_mission(max_speed=speed), 0.0, np.zeros(7)
-    record = ReconfigurationRecord.from_dataset(flown.data, about)
+    record = ReconfigurationRecord.from_data(flown.recorded, about)
     frames = record.frames
     for leg, (first, last) in enumerate(pairwise([0, 12, 22])):
         agents = np.flatnonzero(frames.alive[last - 1])
@@ -357,7 +357,7 @@ def test_altered_run_that_cannot_be_propagated_is_refused(disturbed, monkeypatch
 
 def test_attributes_are_those_of_the_mission(flown):
     limits = flown.data.assign_attrs(comm_radius_m=flown.data.attrs["comm_radius_m"] * (1 + 1e-9))
-    assert broken(replace(flown, data=limits)) == {"attributes"}
+    assert broken(with_data(flown, limits)) == {"attributes"}
 
 
 def test_altered_summary_is_found(saved, tmp_path):

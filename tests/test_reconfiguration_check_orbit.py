@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from recorded_run import altered, broken, check, recorded
+from recorded_run import altered, broken, check, recorded, with_data
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
@@ -64,7 +64,7 @@ def straight(about: Reconfiguration) -> Run:
 
 
 def record_of(run: Run, about: Reconfiguration | None = None) -> ReconfigurationRecord:
-    return ReconfigurationRecord.from_dataset(run.data, about or run.mission)
+    return ReconfigurationRecord.from_data(run.recorded, about or run.mission)
 
 
 @pytest.fixture(scope="module")
@@ -139,19 +139,19 @@ def test_altered_chief_is_found(flown, element):
 
 
 def test_chief_is_recorded_where_the_plant_has_one(flown):
-    lacking = replace(flown, data=flown.data.drop_vars(["chief", "element"]))
+    lacking = with_data(flown, flown.data.drop_vars(["chief", "element"]))
     assert broken(lacking) == {"chief"}
     names = flown.data["element"].values[::-1]
-    assert broken(replace(flown, data=flown.data.assign_coords(element=names))) == {"chief"}
+    assert broken(with_data(flown, flown.data.assign_coords(element=names))) == {"chief"}
     free = straight(mission(plant=LinearPlant(EXACT)))
     assert broken(free) == set()
     orbiting = free.data.assign(element=flown.data["element"], chief=flown.data["chief"])
-    assert broken(replace(free, data=orbiting)) == {"chief"}
+    assert broken(with_data(free, orbiting)) == {"chief"}
 
 
 def test_gravity_in_the_attributes_is_that_of_the_plant(flown):
     heavier = flown.data.assign_attrs(mu_m3_s2=flown.data.attrs["mu_m3_s2"] * (1 + 1e-9))
-    assert broken(replace(flown, data=heavier)) == {"attributes"}
+    assert broken(with_data(flown, heavier)) == {"attributes"}
 
 
 @pytest.mark.parametrize(

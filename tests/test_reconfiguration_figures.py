@@ -11,7 +11,14 @@ import pytest
 from full_disk import file_size_limit
 from pictures import check_layout, draw, line
 from PIL import Image
-from recorded_run import fly_straight, in_order, make_crossing, make_mission, recorded
+from recorded_run import (
+    fly_straight,
+    in_order,
+    make_crossing,
+    make_mission,
+    recorded,
+    with_data,
+)
 
 from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
@@ -93,8 +100,8 @@ def flown(name):
     about = make()
     run = recorded(about, fly_straight(about, own_targets=name == "pair")[:count])
     if name == "plane":
-        run.data.attrs["scenario"] = LETTERS
-    return run, ReconfigurationRecord.from_dataset(run.data, about)
+        run = with_data(run, run.data.assign_attrs(scenario=LETTERS))
+    return run, ReconfigurationRecord.from_data(run.recorded, about)
 
 
 @cache

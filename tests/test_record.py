@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from full_disk import file_size_limit
-from recorded_run import record_run
+from recorded_run import record_run, with_data
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
@@ -18,7 +18,8 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.system import SYSTEM
-from sato.record import RunFileError, json_default
+from sato.record import RunFileError
+from sato.run_data import RunData, json_default
 from sato.runs import Run, load
 
 FLOWN = Reconfiguration(
@@ -81,6 +82,19 @@ def test_loaded_run_equals_the_saved_one(rng, tmp_path):
     assert again.summary == run.summary
     names = sorted(p.name for p in (tmp_path / "deep" / "down").iterdir())
     assert names == ["run.nc", "summary.json"]
+
+
+def test_changes_of_the_dataset_do_not_change_the_run(run):
+    before = run.recorded.compute_digest()
+    run.data["position"].values[:] += 1.0
+    run.data.attrs["seed"] = 8
+    assert run.recorded.compute_digest() == before == run.recorded.attrs["digest"]
+
+
+def test_variables_of_different_sizes_along_a_dimension_are_refused(run):
+    longer = run.recorded.variables["time"]._replace(values=np.arange(5.0))
+    with pytest.raises(ValueError, match="along time"):
+        RunData({**run.recorded.variables, "time": longer}, {})
 
 
 def test_every_variable_has_a_unit_and_a_long_name(rng, tmp_path):
@@ -205,7 +219,7 @@ def test_a_run_is_never_beside_the_summary_of_another(run, rng, tmp_path):
     run.save(tmp_path)
     with file_size_limit(10**6):
         other = run_of(frames(rng), stopped="interrupted" + 2 * 10**6 * "!")
-        other.data.attrs["stopped"] = "interrupted"
+        other = with_data(other, other.data.assign_attrs(stopped="interrupted"))
         with pytest.raises(OSError, match=r"summary\.json"):
             other.save(tmp_path)
     assert load(tmp_path).summary["stopped"] == "interrupted"

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reconfiguration_runs import make_mission, row
+from recorded_run import altered
 
 import sato
 from sato.reconfiguration.allowed_places import are_blocked
@@ -66,7 +67,7 @@ def draw_world(seed, axes, is_given, moves):
 
 
 def record_of(run):
-    return ReconfigurationRecord.from_dataset(run.data, run.mission)
+    return ReconfigurationRecord.from_data(run.recorded, run.mission)
 
 
 @settings(max_examples=12, deadline=None)
@@ -105,20 +106,20 @@ def test_straight_way_through_an_obstacle_is_found_by_the_check():
     mission = make_mission(row(1, 0.0), sato.Leg(row(1, 6.0), 40), max_control=0.3)
     run = sato.run(mission, seed=0)
     wall = replace(run.mission, obstacles=(sato.Box((-3.0, 2.0), (3.0, 3.0)),))
-    record = ReconfigurationRecord.from_dataset(run.data, wall)
+    record = ReconfigurationRecord.from_data(run.recorded, wall)
     assert find_clearance(record).distance == 0.0
     # It flies along y = p(t); one that keeps 2 m beside it, and one that meets it at its target.
     end = float(run.data.time[-1])
     beside = sato.Sphere((2.0, 3.0), 0.5)
     meeting = sato.Sphere((end * 0.1, 6.0), 0.5, velocity=(-0.1, 0.0))
     for one, distance in ((beside, 1.5), (meeting, 0.0)):
-        record = ReconfigurationRecord.from_dataset(run.data, replace(wall, obstacles=(one,)))
+        record = ReconfigurationRecord.from_data(run.recorded, replace(wall, obstacles=(one,)))
         assert find_clearance(record).distance == pytest.approx(distance, abs=1e-6)
     passed = replace(meeting, velocity=(0.1, 0.0))
-    record = ReconfigurationRecord.from_dataset(run.data, replace(wall, obstacles=(passed,)))
+    record = ReconfigurationRecord.from_data(run.recorded, replace(wall, obstacles=(passed,)))
     assert find_clearance(record).distance > 1.0
     box = replace(wall, obstacles=(), box=np.array([[-1.0, -1.0], [1.0, 5.5]]))
-    assert find_excess(ReconfigurationRecord.from_dataset(run.data, box))[0] == pytest.approx(0.5)
+    assert find_excess(ReconfigurationRecord.from_data(run.recorded, box))[0] == pytest.approx(0.5)
 
 
 def test_ellipsoids_of_downwash_are_kept():
@@ -218,7 +219,7 @@ def test_altered_drift_of_a_lost_vehicle_is_caught():
     loss = sato.Loss("agents", agents=(0,), at_step=4, body="coast")
     leg = sato.Leg(row(3, 4.0), 30, losses=(loss,))
     run = sato.run(make_mission(row(3, 0.0), leg, comm_radius=10.0), seed=0)
-    run.data.position.values[15, 0, 0] += 1e-6
+    run = altered(run, "position", (15, 0, 0), by=1e-6)
     assert "flight" in {p.name for p in run.check().promises if not p.kept}
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from reconfiguration_runs import make_mission
+from recorded_run import altered
 
 import sato
 from dynamics.trajectory_geometry import control_points, evaluate_bezier, separations
@@ -51,10 +52,10 @@ def test_flights_keep_limits_of_each_axis_and_vehicle(rng, limits, tmp_path):
     run.save(tmp_path)
     assert sato.load(tmp_path).check().kept
     assert sato.load(tmp_path).mission == flown
-    faster = run.data.copy()
     k, i = np.unravel_index(np.argmax(u.max(axis=2)), u.shape[:2])
-    faster["control"][k, i] *= 1.01 * flown.control_limit(int(i)).most / u[k, i].max()
-    assert not sato.Run(faster, run.summary, flown).check().kept
+    more = 1.01 * flown.control_limit(int(i)).most / u[k, i].max()
+    faster = altered(run, "control", (k, i), more * run.recorded["control"][k, i])
+    assert not faster.check().kept
 
 
 @pytest.mark.parametrize(
@@ -139,7 +140,7 @@ def test_each_pair_keeps_the_mean_of_its_radii(rng):
     # The others have no more room than they need: some come nearer than the largest pair may.
     assert dense_distances(run)[np.triu_indices(4, 1)].min() < 0.8
     wider = replace(own, collision_radius=(0.3, 0.9, 0.5, 0.8))
-    promise = sato.Run(run.data, run.summary, wider).check().broken
+    promise = sato.Run(run.recorded, run.summary, wider).check().broken
     assert "separation" in {each.name for each in promise}
 
 

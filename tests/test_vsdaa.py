@@ -92,7 +92,7 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
         for i in np.flatnonzero(case.graph.alive):
             me = now[i]
             assert me.bids.price.tobytes() == swarm.price[i].tobytes()
-            assert me.bids.winner.tobytes() == swarm.winner[i].tobytes()
+            assert np.array_equal(me.bids.winner, swarm.winner[i])
             assert (me.target_count, me.target_index) == (
                 swarm.target_count[i],
                 swarm.target_index[i],

@@ -32,6 +32,7 @@ NO_WINNER = -1  # winner of a target without a standing bid
 ANONYMOUS = 0  # winner of every standing bid where bids carry no number
 FAR = 2**30  # hops between two components
 MIN_ROOM = 100_000  # for bids in the log
+CACHE_LINE = 8  # numbers
 DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
@@ -167,13 +168,15 @@ class BidLog(NamedTuple):
     target: Int[Array, " room"]
     winner: Int[Array, " room"]
     price: Float[Array, " room"]
+    arrived: Int[Array, " room"]  # scratch: bids that an agent merges
     size: Int[Array, " 2"]  # first bid on its way, number of bids
 
     @classmethod
     def empty(cls, room: int) -> "BidLog":
         """Allocate a log for so many bids."""
-        agent, round, target, winner = (np.empty(room, dtype=np.int32) for _ in range(4))
-        return cls(agent, round, target, winner, np.empty(room), np.zeros(2, dtype=np.int64))
+        agent, round, target, winner, arrived = (np.empty(room, dtype=np.int32) for _ in range(5))
+        size = np.zeros(2, dtype=np.int64)
+        return cls(agent, round, target, winner, np.empty(room), arrived, size)
 
 
 def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
@@ -187,7 +190,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
         most_hops=graph.diameter.max(initial=0, keepdims=True),
         patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
-        winner=np.full((agents, targets), NO_WINNER),
+        winner=np.full((agents, targets), NO_WINNER, dtype=np.int32),
         price_count=ints[0],
         winner_count=ints[1],
         target_count=graph.component_max(np.asarray(target_count, dtype=np.int64)),
@@ -306,14 +309,21 @@ def _announce(s, log):
 def _merge(i, s, log):
     # What has arrived since the last time. News of a target are of the round in which the bid
     # that stands now arrived first.
-    round, merged, count = s.round[0], s.merged_round[i], 0
+    round, merged, count, number = s.round[0], s.merged_round[i], 0, 0
     price, winner, hops, arrival, changed = s.price[i], s.winner[i], s.hops[i], s.arrival, s.changed
+    agents, rounds, arrived = log.agent, log.round, log.arrived
     for k in range(log.size[1] - 1, s.merged_bid[i] - 1, -1):  # newest first: few change a price
-        at = log.round[k] + hops[log.agent[k]]
-        if at <= merged or at > round:
-            continue
-        j, p, w = log.target[k], log.price[k], log.winner[k]
+        at = rounds[k] + hops[agents[k]]
+        arrived[number] = k
+        number += merged < at <= round  # without a branch, which would be hard to predict
+    if number > len(price) // CACHE_LINE:
+        _read_in_order(price, winner)  # so that the bids, in any order, find them in the cache
+    for k in arrived[:number]:
+        j, p = log.target[k], log.price[k]
         size, own = abs(p), abs(price[j])
+        if size < own:
+            continue
+        at, w = rounds[k] + hops[agents[k]], log.winner[k]
         if size > own or (size == own and w < winner[j]):
             s.price_count[i] += price[j] == 0
             s.winner_count[i] += (w >= 0) - (winner[j] >= 0)
@@ -330,6 +340,15 @@ def _merge(i, s, log):
     s.target_count[i] = max(s.target_count[i], s.price_count[i])
     s.merged_round[i] = round
     s.merged_bid[i] = max(s.merged_bid[i], log.size[0])
+
+
+@njit(cache=True)
+@no_type_check
+def _read_in_order(price, winner):
+    total = 0.0
+    for j in range(0, len(price), CACHE_LINE):
+        total += price[j] + winner[j]
+    return total
 
 
 @njit(cache=True)

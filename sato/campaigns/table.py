@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
-from sato.record import json_default
+from sato.run_data import json_default
 from sato.scenario.errors import InputError, closest_name, join_names
 
 if TYPE_CHECKING:  # slow to import

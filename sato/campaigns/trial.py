@@ -18,8 +18,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sato.campaigns.functions import add_modules, find_function
-from sato.record import json_default
 from sato.resource_usage import peak_memory_mib, reset_peak_memory
+from sato.run_data import json_default
 from sato.runs import run
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, from_dict

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,9 +15,7 @@ from dynamics.trajectory_geometry import near_balls, sampled_separations
 from sato.check.report import Promise, expect_none, expect_small_error
 from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 Alive = Bool[Array, "instants agents"]
 
@@ -30,7 +28,7 @@ class EventLog:
     events: tuple[dict[str, Any], ...]  # in the order of time
 
     @classmethod
-    def from_dataset(cls, data: "xarray.Dataset") -> "EventLog":
+    def from_data(cls, data: RunData) -> "EventLog":
         """Read the events of a run."""
         events = tuple(json.loads(str(text)) for text in np.asarray(data["event"]))
         return cls(np.asarray(data["time"], dtype=float), events)
@@ -94,14 +92,16 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
     way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
     moves = alive[1:] & alive[:-1] & np.isfinite(way[1:]).all(axis=2)
     change = np.where(moves[..., None], np.diff(way, axis=0), 0.0)
-    bound = float(sampled_separations(position, alive[:-1]).min(initial=np.inf))
+    sampled = sampled_separations(position, alive[:-1])
+    bound = float(sampled.min(initial=np.inf))
     if not bound < np.inf:
         return ClosestPair(np.inf, -1, (-1, -1))
     middle, half = way[:-1] + change / 2, np.linalg.norm(change, axis=2) / 2
     found = []
-    for k, here in enumerate(alive[:-1]):
+    # Two agents come closer than at the instant before by their two ways at most.
+    for k in np.flatnonzero(sampled - 4 * half.max(axis=1) <= bound * (1 + 1e-12)):
         # An agent stays in the ball about the middle of its way.
-        agents = np.flatnonzero(here & np.isfinite(middle[k]).all(axis=1))
+        agents = np.flatnonzero(alive[k] & np.isfinite(middle[k]).all(axis=1))
         pairs = agents[near_balls(middle[k, agents], bound / 2 + half[k, agents])]
         found.append(np.column_stack([np.full(len(pairs), k), pairs]))
     k, i, j = np.concatenate(found).T

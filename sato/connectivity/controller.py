@@ -42,15 +42,17 @@ def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> Agen
     )
     has_edge = sees | is_seen
     weight = np.where(has_edge, edges.weights, 0.0)
-    own, rows, row_time = np.arange(len(psi)), *(part.copy() for part in estimates.adjacency)
-    rows[own, own], row_time[own, own] = weight, time
+    adjacency = estimates.adjacency
+    if mission.estimator == "flood":
+        own, adjacency = np.arange(len(psi)), AdjacencyRows(*(part.copy() for part in adjacency))
+        adjacency.weight[own, own], adjacency.time[own, own] = weight, time
     return estimates._replace(
         velocity_observer=observer,
         relative_yaw=psi,
         is_mutual=sees & is_seen,
         weight=weight,
         weight_gradient=np.where(has_edge[..., None], edges.gradients, 0.0),
-        adjacency=AdjacencyRows(rows, row_time),
+        adjacency=adjacency,
     )
 
 

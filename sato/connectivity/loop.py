@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from dynamics.kinematic import KinematicVehicle, step_kinematic
 from dynamics.quadrotor import Quadrotor, step_quadrotor
 from dynamics.vehicle import VehicleState, rotate_by_yaw
-from problems.interaction_graph import algebraic_connectivity
+from problems.interaction_graph import connectivity_eigenvalues
 from sato.connectivity.controller import compute_commands, estimate_edges, estimate_lambda2
 from sato.connectivity.messages import exchange_messages
 from sato.connectivity.mission import Connectivity
@@ -22,6 +22,7 @@ from sato.connectivity.state import Knowledge, Message
 from sato.connectivity.yaw_estimator import wrap_angle
 from sato.network.graph import label_components
 
+CONNECTED = 1e-9  # a graph with a larger λ₂ is connected; less may be rounding
 POWER_ITERATION_WARMUP = 5.0  # time for which the power iteration runs before agents move [s]
 
 
@@ -83,15 +84,15 @@ def advance_vehicles(
         noise: Noise of kinematic vehicles [m/s, rad/s].
         mission: Drawn mission.
     """
-    live, plant = VehicleState(*(part[alive] for part in vehicles)), mission.plant
+    plant = mission.plant
     if isinstance(plant, Quadrotor):
-        moved = step_quadrotor(live, command[alive], plant, mission.step)
+        moved = step_quadrotor(vehicles, command, plant, mission.step)
     else:
-        moved = step_kinematic(live, command[alive], plant, mission.step, noise[alive])
-    advanced = VehicleState(*(part.copy() for part in vehicles))
-    for part, new in zip(advanced, moved, strict=True):
-        part[alive] = new
-    return advanced
+        moved = step_kinematic(vehicles, command, plant, mission.step, noise)
+    both = zip(vehicles, moved, strict=True)
+    return VehicleState(
+        *(np.where(alive if was.ndim == 1 else alive[:, None], now, was) for was, now in both)
+    )
 
 
 def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[ConnectivityFrame]:
@@ -120,12 +121,14 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
                 events.append({"kind": "waypoint", "agents": [0], "number": waypoints_reached})
                 waypoints_reached += 1
             stick = mission.stick.command_velocity(time, leader, waypoints_reached)
-        component = label_components(swarm.views.weight > 0, swarm.alive)
+        lambda2, lambda3 = connectivity_eigenvalues(swarm.views.weight, swarm.alive)
+        component = np.where(swarm.alive, 0, -1)
+        if not lambda2 > CONNECTED:
+            component = label_components(swarm.views.weight > 0, swarm.alive)
         if (component.max() > 0) != was_split:
             kind, was_split = "whole" if was_split else "split", not was_split
             events.append({"kind": kind, "agents": np.flatnonzero(component > 0).tolist()})
         vehicles, (measured, _, estimates) = swarm.vehicles, swarm.known
-        true = algebraic_connectivity(swarm.views.weight, swarm.alive)
         known_agents = estimates.weight > 0
         if mission.estimator == "flood":
             now = (swarm.steps_taken - 1) * mission.step
@@ -140,8 +143,8 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
             velocity_command=swarm.command[:, :3],
             yaw_rate=swarm.command[:, 3],
             yaw=vehicles.yaw,
-            lambda2=float(true.lambda2),
-            lambda3=float(true.lambda3),
+            lambda2=float(lambda2),
+            lambda3=float(lambda3),
             lambda2_estimate=estimates.lambda2,
             edge_weight=swarm.views.weight,
             yaw_estimate_error=wrap_angle(estimates.relative_yaw - true_yaw),

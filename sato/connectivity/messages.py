@@ -59,6 +59,8 @@ def exchange_messages(
     inbox.own_relative_position[i, j] = message.relative_position[i, j]
     inbox.relative_yaw[i, j] = message.relative_yaw[j]
     inbox.is_mutual[i, j] = message.is_mutual[j]
+    if mission.estimator != "flood":
+        return known
     merged = merge_rows(estimates.adjacency, message.adjacency, hears)
     return known._replace(estimates=estimates._replace(adjacency=merged))
 

@@ -127,22 +127,49 @@ def obstacle_distances(
     position: Float[Array, "*k 3"], obstacles: Obstacles
 ) -> Float[Array, "*k obstacles"]:
     """Compute the distance to each sphere, box and plane, negative inside [m]."""
-    at = position[..., None, :]
-    spheres = np.linalg.norm(at - obstacles.spheres[:, :3], axis=-1) - obstacles.spheres[:, 3]
-    beyond = np.maximum(obstacles.boxes[:, :3] - at, at - obstacles.boxes[:, 3:])
+    kinds = zip(obstacles, (_sphere_distances, _box_distances, _plane_distances), strict=True)
+    found = [compute(position, rows) for rows, compute in kinds if len(rows)]
+    return np.concatenate(found, axis=-1) if found else np.empty((*position.shape[:-1], 0))
+
+
+def _sphere_distances(
+    p: Float[Array, "*k 3"], spheres: Float[Array, "spheres 4"]
+) -> Float[Array, "*k spheres"]:
+    return np.asarray(np.linalg.norm(p[..., None, :] - spheres[:, :3], axis=-1) - spheres[:, 3])
+
+
+def _box_distances(
+    p: Float[Array, "*k 3"], boxes: Float[Array, "boxes 6"]
+) -> Float[Array, "*k boxes"]:
+    beyond = np.maximum(boxes[:, :3] - p[..., None, :], p[..., None, :] - boxes[:, 3:])
     outside = np.linalg.norm(np.maximum(beyond, 0), axis=-1)
-    boxes = outside + np.minimum(beyond.max(axis=-1), 0)
-    planes = position @ obstacles.planes[:, :3].T - obstacles.planes[:, 3]
-    return np.concatenate([spheres, boxes, planes], axis=-1)
+    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0))
+
+
+def _plane_distances(
+    p: Float[Array, "*k 3"], planes: Float[Array, "planes 4"]
+) -> Float[Array, "*k planes"]:
+    return np.asarray(p @ planes[:, :3].T - planes[:, 3])
 
 
 def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array, "*k obstacles 3"]:
     """Find the nearest point of the surface of each sphere, box and plane [m]."""
-    at, (centers, radius) = p[..., None, :], np.split(obstacles.spheres, [3], axis=1)
+    kinds = zip(
+        obstacles, (_nearest_of_spheres, _nearest_of_boxes, _nearest_of_planes), strict=True
+    )
+    found = [find(p[..., None, :], rows) for rows, find in kinds if len(rows)]
+    return np.concatenate(found, axis=-2) if found else np.empty((*p.shape[:-1], 0, 3))
+
+
+def _nearest_of_spheres(at: Points, spheres: Float[Array, "spheres 4"]) -> Points:
+    centers, radius = np.split(spheres, [3], axis=1)
     far = np.linalg.norm(at - centers, axis=-1, keepdims=True)
     outwards = np.where(far > 0, at - centers, np.eye(3)[0]) / np.where(far > 0, far, 1)
-    spheres = centers + radius * outwards
-    low, high = obstacles.boxes[:, :3], obstacles.boxes[:, 3:]
+    return np.asarray(centers + radius * outwards)
+
+
+def _nearest_of_boxes(at: Points, boxes: Float[Array, "boxes 6"]) -> Points:
+    low, high = boxes[:, :3], boxes[:, 3:]
     clipped = np.clip(at, low, high)
     # Inside of a box the nearest of its six faces counts.
     faces = np.stack([low, high], axis=-1)
@@ -150,11 +177,12 @@ def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array
     nearest = np.arange(6) == depth.argmin(axis=-1)[..., None]
     nearest = nearest.reshape(*clipped.shape, 2)
     on_face = np.where(nearest.any(axis=-1), (faces * nearest).sum(axis=-1), at)
-    boxes = np.where((clipped == at).all(axis=-1, keepdims=True), on_face, clipped)
-    normals = obstacles.planes[:, :3]
-    above = (at * normals).sum(axis=-1) - obstacles.planes[:, 3]
-    planes = at - above[..., None] * normals
-    return np.concatenate([spheres, boxes, planes], axis=-2)
+    return np.where((clipped == at).all(axis=-1, keepdims=True), on_face, clipped)
+
+
+def _nearest_of_planes(at: Points, planes: Float[Array, "planes 4"]) -> Points:
+    normals, offset = planes[:, :3], planes[:, 3]
+    return np.asarray(at - ((at * normals).sum(axis=-1) - offset)[..., None] * normals)
 
 
 def segments_hit_balls(

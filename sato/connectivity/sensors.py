@@ -48,9 +48,9 @@ def compute_views(
     if mission.occlusion:
         is_clear &= ~_is_occluded(position, alive, mission)
     cosine = np.where(is_clear, (axis * bearing).sum(axis=-1), -np.inf)
-    f, _ = cosine_ramp(cosine, camera.a_min, camera.a_max)
+    f = cosine_ramp(cosine, camera.a_min, camera.a_max)
     g = f.swapaxes(-1, -2)
-    weight = range_weight(distance, camera)[0] * (f + g - f * g)
+    weight = range_weight(distance, camera) * (f + g - f * g)
     return CameraViews(weight, cosine, distance[..., None] * bearing)
 
 

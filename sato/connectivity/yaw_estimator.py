@@ -67,16 +67,18 @@ def _close_triangles(
     gain: float,
 ) -> Float[Array, "n n"]:
     # Where only i sees j, a third agent k in mutual view of both knows the angle better.
-    knows = is_mutual[:, :, None] & inbox.is_mutual  # [i, k, j]
-    errors = np.sin(psi[:, :, None] + inbox.relative_yaw - psi[:, None])
-    error, count = np.where(knows, errors, 0.0).sum(axis=1), knows.sum(axis=1)
-    closed = wrap_angle(psi + gain * error / np.maximum(count, 1))
-    return np.where(sees & ~is_mutual & (count > 0), closed, psi)
+    i, k = np.nonzero(is_mutual)
+    which, j = np.nonzero(inbox.is_mutual[i, k] & (sees & ~is_mutual)[i])
+    i, k = i[which], k[which]
+    error, count = np.zeros_like(psi), np.zeros_like(psi)
+    np.add.at(error, (i, j), np.sin(psi[i, k] + inbox.relative_yaw[i, k, j] - psi[i, j]))
+    np.add.at(count, (i, j), 1)
+    return np.where(count > 0, wrap_angle(psi + gain * error / np.maximum(count, 1)), psi)
 
 
 def _view_weight(p: Vectors, camera: Camera) -> Numbers:
     cosine = (p * np.array(camera.optical_axis)).sum(axis=-1) / np.linalg.norm(p, axis=-1)
-    return cosine_ramp(cosine, camera.a_min, camera.a_max)[0]
+    return cosine_ramp(cosine, camera.a_min, camera.a_max)
 
 
 def wrap_angle(angle: Numbers) -> Numbers:
@@ -137,7 +139,7 @@ def yaw_from_motion(
     else:
         slower = np.minimum(*(np.linalg.norm(v, axis=-1) for v in (observed, received)))
         speed = np.where(observer[..., 6] >= 3 / tracking.k1, slower, 0.0)
-    trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)[0]
+    trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)
     return wrap_angle(_direction(observed) - _direction(received)), trust
 
 

@@ -23,24 +23,27 @@ LEGACY_GAIN_Z, LEGACY_SLOPE_Z, LEGACY_DEADBAND_Z = 0.5, 0.3, 0.1
 
 
 class FormationData(NamedTuple):
-    """Desired formation as all agents know it; each uses its own row."""
+    """Desired formation as all agents know it, a row a point; each agent uses the row it holds."""
 
-    gains_xy: Complex[Array, "points points"]  # [1/s]
-    gains_z: Float[Array, "points points"]  # [1/s]
-    points: Float[Array, "points 3"]  # [m]
-    neighbors: Int[Array, "points most"]  # of each point, padded with −1
-    size_weights: Float[Array, "points points"]  # w_ij = 1 / max(d_i, d_j), d the degree
+    neighbors: Int[Array, "points most"]  # of each point, padded with −1; below those of each
+    gains_xy: Complex[Array, "points most"]  # [1/s]
+    gains_z: Float[Array, "points most"]  # [1/s]
+    distances: Float[Array, "points most"]  # in the plane [m]
+    heights: Float[Array, "points most"]  # above the point [m]
+    size_weights: Float[Array, "points most"]  # w_ij = 1 / max(d_i, d_j), d the degree
 
     @classmethod
     def from_gains(cls, gains: GainMatrix) -> "FormationData":
         """Collect what the control law needs of a formation with its gains."""
-        graph = gains.formation.graph
-        degree = graph.sum(axis=1)
+        graph, points = gains.formation.graph, gains.formation.points
+        degree, own = graph.sum(axis=1), np.arange(len(graph))[:, None]
         # Row by row the neighbors first, in order; the rest is −1.
         order = np.argsort(~graph, axis=1, kind="stable")[:, : degree.max()]
         neighbors = np.where(np.arange(degree.max()) < degree[:, None], order, -1)
-        weights = graph / np.maximum(degree, degree[:, None])
-        return cls(gains.xy, gains.z, gains.formation.points, neighbors, weights)
+        x, y, heights = np.moveaxis(points[neighbors] - points[own], -1, 0)
+        weights = (graph / np.maximum(degree, degree[:, None]))[own, neighbors]
+        of_pairs = gains.xy[own, neighbors], gains.z[own, neighbors], np.hypot(x, y)
+        return cls(neighbors, *of_pairs, heights, weights)
 
 
 def compute_velocity_commands(
@@ -67,13 +70,10 @@ def compute_velocity_commands(
         law: Numbers of the law.
         legacy: True for the size control of the paper's code.
     """
-    own, points = me[:, None], formation.points
-    j = formation.neighbors[me]
+    _, gains_xy, gains_z, far, p_z, weight = (part[me] for part in formation)
     q = np.where(is_known, as_complex(relative), 0.0)
     q_z = np.where(is_known, relative[..., 2], 0.0)
-    p = points[j] - points[own]
-    p_z, far = p[..., 2], np.hypot(p[..., 0], p[..., 1])
-    near, weight = np.abs(q), formation.size_weights[own, j]
+    near = np.abs(q)
     if legacy:
         f = _legacy_size_gain(near - far, LEGACY_GAIN_XY, LEGACY_SLOPE_XY, LEGACY_DEADBAND_XY)
         error = np.abs(q_z) - np.abs(p_z)
@@ -83,8 +83,8 @@ def compute_velocity_commands(
         g = law.size_rate * weight
         if not law.upright:
             g = g * _relative_error(np.abs(q_z), np.abs(p_z))
-    flat = ((formation.gains_xy[own, j] + f) * q).sum(axis=1)
-    vertical = (formation.gains_z[own, j] + g) * q_z
+    flat = ((gains_xy + f) * q).sum(axis=1)
+    vertical = (gains_z + g) * q_z
     if law.upright:
         vertical -= np.where(is_known, g * p_z, 0.0)
     command = np.stack([flat.real, flat.imag, vertical.sum(axis=1)], axis=1)

@@ -83,10 +83,11 @@ class Roles(NamedTuple):
     commanded_agent: int  # agent that an operator steers; −1 none
     operator_velocity: Float[Array, " 3"]  # commanded velocity, in that agent's frame [m/s]
 
-    def find_neighbors(self, formation: FormationData) -> Neighbors:
+    def find_neighbors(self, swarm: StepParameters) -> Neighbors:
         """Return the holders of the points beside each agent's own, as each agent knows them."""
-        points = formation.neighbors[self.assignment]
-        return Neighbors(self.holder[np.arange(len(points))[:, None], points], points >= 0)
+        points = swarm.formation.neighbors[self.assignment]
+        holder = self.holder[np.arange(len(points))[:, None], points]
+        return Neighbors.of(holder, points >= 0, swarm.coordinate_frames)
 
 
 class FormationState(NamedTuple):
@@ -133,6 +134,7 @@ class FormationState(NamedTuple):
 def simulate_steps(
     state: FormationState,
     roles: Roles,
+    neighbors: Neighbors,
     swarm: StepParameters,
     first: int,
     steps: int,
@@ -143,12 +145,12 @@ def simulate_steps(
     Args:
         state: State, changed in place.
         roles: Assignment and commands.
+        neighbors: Those of the roles.
         swarm: Constants.
         first: Number of the first of these control steps.
         steps: Number of control steps.
         rng: Generator for noise, wandering and lost messages.
     """
-    neighbors = roles.find_neighbors(swarm.formation)
     for number in range(first, first + steps):
         measure_own_positions(state, swarm, rng)
         message, rest = divmod(number, swarm.steps_per_message)

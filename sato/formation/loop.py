@@ -56,6 +56,7 @@ class _Simulation(FlightCourse):
         self.outcome = AssignmentResult(points, holder, rounds=0)  # of the last auction
         self.roles = Roles(points, holder, np.full(len(points), False), -1, np.zeros(3))
         self.parameters = StepParameters.for_leg(self.mission, self.leg)
+        self.neighbors = self.roles.find_neighbors(self.parameters)
         self.auction_count = 0
         self.state.begin_way(points)
 
@@ -75,6 +76,7 @@ class _Simulation(FlightCourse):
         self.state.begin_way(changed)
         is_active = np.full(len(assignment), True)
         self.roles = Roles(assignment, holder, is_active, -1, np.zeros(3))
+        self.neighbors = self.roles.find_neighbors(self.parameters)
 
     def advance(self) -> tuple[Array, Array]:
         roles, steps = self.roles, self.mission.steps_per_frame
@@ -83,7 +85,8 @@ class _Simulation(FlightCourse):
                 velocity = np.array(command.velocity)
                 roles = roles._replace(commanded_agent=command.agent, operator_velocity=velocity)
         first = self.instant * steps
-        simulate_steps(self.state, roles, self.parameters, first, steps, self.rng)
+        swarm = self.neighbors, self.parameters
+        simulate_steps(self.state, roles, *swarm, first, steps, self.rng)
         state = self.state
         return state.velocity_command, find_blocked(self.mission, state.velocity, state.avoiding)
 

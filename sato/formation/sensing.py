@@ -12,13 +12,32 @@ from numpy import ndarray as Array
 
 if TYPE_CHECKING:
     from sato.formation.control_step import FormationState, StepParameters
+    from sato.formation.settings import CoordinateFrames
 
 
 class Neighbors(NamedTuple):
-    """Holders of the points beside those that agents hold."""
+    """Holders of the points beside those that agents hold, and poses of frames, which all know."""
 
     holder: Int[Array, "agents most"]
     is_there: Bool[Array, "agents most"]  # False beyond the last neighbor
+    is_other: Bool[Array, "agents most"]  # False also where the agent itself is the holder
+    rotation: Complex[Array, "agents most"]  # of the holder's frame
+    offset: Float[Array, "agents most 3"]  # of the origin of the holder's frame from the own [m]
+    i: Int[Array, " pairs"]  # agents, one by one for each neighbor that is there
+    j: Int[Array, " pairs"]  # these neighbors
+
+    @classmethod
+    def of(
+        cls,
+        holder: Int[Array, "agents most"],
+        is_there: Bool[Array, "agents most"],
+        frames: "CoordinateFrames",
+    ) -> "Neighbors":
+        """Collect what does not change while agents hold their points."""
+        i, own = np.nonzero(is_there)[0], np.arange(len(holder))[:, None]
+        offset = frames.origin[holder] - frames.origin[:, None]
+        poses = frames.rotation[holder], offset
+        return cls(holder, is_there, is_there & (holder != own), *poses, i, holder[is_there])
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
@@ -66,11 +85,10 @@ def exchange_positions(
     ring = len(state.sent)
     state.sent[message % ring] = state.measured_position
     arriving = state.sent[(message - swarm.message_delay) % ring]
-    is_heard = neighbors.is_there
+    i, j, is_there = neighbors.i, neighbors.j, neighbors.is_there
     if swarm.message_loss > 0:
-        is_heard = is_heard & (rng.random(is_heard.shape) >= swarm.message_loss)
-    i, _ = np.nonzero(is_heard)
-    j = neighbors.holder[is_heard]
+        is_heard = (rng.random(is_there.shape) >= swarm.message_loss)[is_there]
+        i, j = i[is_heard], j[is_heard]
     state.received[i, j] = arriving[j]
 
 
@@ -84,15 +102,14 @@ def locate_neighbors(
     Returns:
         Relative positions, and True where there is a neighbor that was heard.
     """
-    frames, own = swarm.coordinate_frames, np.arange(len(state.position))[:, None]
-    j, is_neighbor = neighbors
-    heard, apart = state.received[own, j], frames.origin[j] - frames.origin[:, None]
-    flat = frames.rotation[j] * as_complex(heard) + as_complex(apart)
+    own, frames = np.arange(len(state.position))[:, None], swarm.coordinate_frames
+    heard, offset = state.received[own, neighbors.holder], neighbors.offset
+    flat = neighbors.rotation * as_complex(heard) + as_complex(offset)
     relative = np.empty_like(heard)
     relative[..., :2] = as_pairs(np.conj(frames.rotation)[:, None] * flat)
-    relative[..., 2] = heard[..., 2] + apart[..., 2]
+    relative[..., 2] = heard[..., 2] + offset[..., 2]
     relative -= state.measured_position[:, None]
-    return relative, is_neighbor & (j != own) & ~np.isnan(heard[..., 0])
+    return relative, neighbors.is_other & ~np.isnan(heard[..., 0])
 
 
 class Nearby(NamedTuple):
@@ -140,12 +157,13 @@ def track_nearby(
     """
     i, j, _, measured = nearby
     (on_position, on_velocity), h = swarm.track_gains, swarm.step
-    position, speed = np.split(state.tracks[i, j], 2, axis=1)
+    track = np.asarray(state.tracks[i, j])
+    position, speed = track[:, :2], track[:, 2:]
+    is_new = np.isnan(position[:, 0])
     predicted = position + h * (speed - velocity[i])
     error = measured - predicted
-    track = np.hstack([predicted + on_position * error, speed + on_velocity / h * error])
-    is_new = np.isnan(position[:, 0])
-    track[is_new] = np.pad(measured[is_new], ((0, 0), (0, 2)))
+    position[:], speed[:] = predicted + on_position * error, speed + on_velocity / h * error
+    position[is_new], speed[is_new] = measured[is_new], 0.0
     state.tracks[:] = np.nan
     state.tracks[i, j] = track
     return track
@@ -153,9 +171,10 @@ def track_nearby(
 
 def as_complex(vectors: Float[Array, "*k axes"]) -> Complex[Array, "*k"]:
     """Return the horizontal parts of vectors as complex numbers."""
-    return np.asarray(vectors[..., 0] + 1j * vectors[..., 1])
+    flat = np.ascontiguousarray(vectors[..., :2], dtype=float).view(complex)
+    return np.asarray(flat[..., 0])
 
 
 def as_pairs(flat: Complex[Array, "*k"]) -> Float[Array, "*k 2"]:
     """Return complex numbers as pairs of coordinates."""
-    return np.stack([flat.real, flat.imag], axis=-1)
+    return np.asarray(np.ascontiguousarray(flat).view(float).reshape(*flat.shape, 2))

@@ -62,6 +62,8 @@ class CommunicationGraph:
     def subgraph(self, members: Bool[Array, " agents"]) -> "CommunicationGraph":
         """Keep these agents alone; all others count as not alive."""
         kept = self.alive & members
+        if np.array_equal(kept, self.alive):
+            return self
         return CommunicationGraph(self.adjacency & kept & kept[:, None], kept)
 
     @cached_property
@@ -74,6 +76,24 @@ class CommunicationGraph:
     def neighbors(self) -> tuple[Int[Array, " _"], ...]:
         """Neighbors of each agent, in ascending order."""
         return tuple(np.flatnonzero(row) for row in self.adjacency)
+
+    @cached_property
+    def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+        """Both agents of each pair of neighbors, the one of lower number first, in order."""
+        i, j = np.nonzero(self.adjacency)
+        return i[i < j], j[i < j]
+
+    def pairs_among(
+        self, agents: Int[Array, " some"] | list[int]
+    ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+        """Return the pairs of neighbors among some agents, by their places in the list."""
+        place = np.full(len(self.alive), -1)
+        place[agents] = np.arange(len(agents))
+        i, j = (place[each] for each in self.pairs)
+        is_among = (i >= 0) & (j >= 0)
+        i, j = np.sort([i[is_among], j[is_among]], axis=0)
+        order = np.lexsort((j, i))
+        return i[order], j[order]
 
     @cached_property
     def component(self) -> Int[Array, " agents"]:

@@ -209,7 +209,7 @@ class Decision(NamedTuple):
         cautious = sorted((r.priority, r.agent) for r in reports if r.priority is not None)
         steps = max(report.steps for report in reports)
         horizon = stopping.stopping_horizon(self.context.mission, steps)
-        u = np.pad(offers.u[0, choice], ((0, steps - offers.u.shape[2]), (0, 0)))
+        (u,) = stopping.pad_controls([offers.u[0, choice]], steps)
         path = extend(offers.paths[0, choice], len(horizon.fine_model))
         order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
         clearance = float(offers.clearance[0])

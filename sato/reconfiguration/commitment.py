@@ -81,12 +81,12 @@ def list_pairs(
     Returns:
         Rows of both, and the distance that they keep [m].
     """
-    i, j = np.nonzero(np.triu(graph.adjacency[np.ix_(offers.agents, offers.agents)]))
+    i, j = graph.pairs_among(offers.agents)
     radius = (offers.clearance[i] + offers.clearance[j]) / 2
     if offers.drifts is not None:  # they may meet far away
         return i, j, radius
     # Most pairs are too far apart.
-    middle, extent = convexify.enclosing_balls(offers.paths)
+    middle, extent = offers.enclose()
     near = np.linalg.norm(middle[i] - middle[j], axis=1) < extent[i] + extent[j] + radius
     return i[near], j[near], radius[near]
 

@@ -23,6 +23,7 @@ from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
+    add_steps,
     committed_controls,
     find_stop,
     held_controls,
@@ -230,13 +231,9 @@ def _fly_on(
 
     Over so many steps at least.
     """
-    velocity = state[:, mission.axes :]
-    each = [
-        held_controls(mission, i, v, committed, instant)
-        for i, v in zip(agents.tolist(), velocity, strict=True)
-    ]
-    steps = SLOWER * max(map(len, each)) + mission.horizon_steps
-    u = pad_controls(each, max(steps, least))
+    each, length = held_controls(mission, agents, state[:, mission.axes :], committed, instant)
+    steps = SLOWER * int(length.max()) + mission.horizon_steps
+    u = add_steps(each, max(steps, least))
     horizon = stopping_horizon(mission, u.shape[1])
     x = horizon.discrete_model.simulate(state, u)
     return horizon, u, x, horizon.control_points(x, u)

@@ -203,8 +203,8 @@ class _Flight:
         is_due = graph.component_any(is_planning_due(*own) | is_new)
         is_due |= is_central and bool(is_due[graph.alive].any())
         bids = graph.component_any(is_auction_due(*own) | is_new)
-        parts = (graph.subgraph(is_due & bids), True), (graph.subgraph(is_due & ~bids), False)
-        return [*decisions, *((part, bid) for part, bid in parts if part.alive.any())]
+        parts = (graph.alive & is_due & bids, True), (graph.alive & is_due & ~bids, False)
+        return decisions + [(graph.subgraph(some), bid) for some, bid in parts if some.any()]
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> None:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])

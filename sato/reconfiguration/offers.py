@@ -1,30 +1,49 @@
 """Offers: trajectories to which agents may commit, each of which ends at rest within reach."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems.convexify import AvoidanceHorizon
+from problems.convexify import AvoidanceHorizon, enclosing_balls
 from problems.obstacle_paths import is_path_clear
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.passive_safety import OfferedDrifts
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
     Commitments,
+    add_steps,
+    bounding_boxes,
+    count_moving_steps,
     end_at_rest,
     held_controls,
     longest_way,
     pad_controls,
     stays_within_reach,
     stopping_horizon,
-    trim_rest,
 )
 from sato.scp.planner import reaches_target
 
 NEGLIGIBLE = 1e-9  # of the largest control: what is less is rounding
 MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
+
+
+@dataclass(frozen=True, eq=False)
+class ByChoice:
+    """Array by agent and choice, of which many entries are the same, and each is kept once."""
+
+    values: Float[Array, "entries ..."]
+    index: Int[Array, "agents choices"]  # of the entry of each choice
+
+    def __getitem__(self, place: tuple[Any, ...]) -> Float[Array, "..."]:
+        agent, choice, *rest = place
+        return np.asarray(self.values[(self.index[agent, choice], *rest)])
+
+
+Boxes = tuple[Float[Array, "k d"], Float[Array, "k d"]]  # lowest and highest coordinates
 
 
 class Offers(NamedTuple):
@@ -34,11 +53,19 @@ class Offers(NamedTuple):
     plan_steps: tuple[int, ...]  # steps of the plan with which each choice begins, 0 for the last
     steps: Int[Array, " agents"]  # in which all choices of each agent have come to rest, and one
     horizon: AvoidanceHorizon  # the most of these
-    u: Float[Array, "agents choices T m"]
-    paths: Float[Array, "agents choices pieces 4 d"]
+    u: Float[Array, "agents choices T m"] | ByChoice
+    paths: Float[Array, "agents choices pieces 4 d"] | ByChoice
     is_allowed: Bool[Array, "agents choices"]
     clearance: Float[Array, " agents"]  # that two of each kind keep [m]
     drifts: OfferedDrifts | None = None  # where agents are to be passively safe
+    boxes: Boxes | None = None  # about all choices of each agent
+
+    def enclose(self) -> tuple[Float[Array, "agents d"], Float[Array, " agents"]]:
+        """Return the center and the radius of a ball about all choices of each agent."""
+        if self.boxes is None:
+            return enclosing_balls(self.paths[:, :])
+        low, high = self.boxes
+        return (low + high) / 2, np.linalg.norm(high - low, axis=1) / 2
 
     @property
     def last(self) -> int:
@@ -55,20 +82,18 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         committed: Committed trajectories; an agent without one stops at once.
     """
     mission, plan_steps = context.mission, _plan_steps(context)
-    each, owner, index, is_begun = _list_controls(context, plans, committed, plan_steps)
+    controls, index, is_begun = _list_controls(context, plans, committed, plan_steps)
     if around := context.surroundings:
-        escapes = [around.escape_steps(mission, i) for i in owner]
-        least = NEGLIGIBLE * float(mission.largest_control.max())
-        each = [_rest_after(u, k, least) if k else u for u, k in zip(each, escapes, strict=True)]
+        escapes = np.array([around.escape_steps(mission, i) for i in plans])[controls.row]
+        controls = controls._replace(length=_add_rest(mission, controls, escapes))
     # An agent that has no steps left needs some to return to its target.
-    lengths = np.maximum(mission.horizon_steps, [len(u) for u in each])
+    lengths = np.maximum(mission.horizon_steps, controls.length)
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
     horizon = stopping_horizon(mission, int(steps.max()))
-    controls = pad_controls(each, horizon.steps)
-    x = horizon.discrete_model.simulate(context.state[owner], controls)
-    points = horizon.control_points(x, controls)
-    is_near = stays_within_reach(mission, horizon, x[..., : mission.axes], points)
-    u, paths, is_allowed = controls[index], points[index], is_near[index] & is_begun
+    u = add_steps(controls.u, horizon.steps)
+    start = context.state[agents[controls.row]]
+    points, is_near, (low, high) = _fly(mission, horizon, start, u)
+    paths, is_allowed = ByChoice(points, index), is_near[index] & is_begun
     is_allowed &= _avoids_obstacles(context, horizon, agents, steps, paths, is_allowed)
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
@@ -83,16 +108,50 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         )
         if is_late:  # it is late, or has drifted: it takes a turn
             is_allowed[row, :-1] = False
-    return Offers(agents, plan_steps, steps, horizon, u, paths, is_allowed, clearance)
+    chosen = ByChoice(u, index), paths, is_allowed, clearance
+    boxes = low[index].min(axis=1), high[index].max(axis=1)
+    return Offers(agents, plan_steps, steps, horizon, *chosen, boxes=boxes)
 
 
-def _rest_after(u: Float[Array, "T m"], steps: int, least: float) -> Float[Array, "_ m"]:
-    """Return controls, and so many steps of rest after all that are not less than a number.
+def _fly(
+    mission: Reconfiguration,
+    horizon: AvoidanceHorizon,
+    start: Float[Array, "entries n"],
+    u: Float[Array, "entries T m"],
+) -> tuple[Float[Array, "entries pieces 4 d"], Bool[Array, " entries"], Boxes]:
+    """Return control points over the horizon, True for what stays within reach, and boxes.
+
+    What soon comes to rest is flown until then alone.
+    """
+    points = np.empty((len(u), len(horizon.fine_model), 4, mission.axes))
+    low, high = np.empty((2, len(u), mission.axes))
+    is_near, moving = np.empty(len(u), dtype=bool), count_moving_steps(u)
+    most, first = 1, -1
+    while first < horizon.steps:
+        some = np.flatnonzero((moving > first) & (moving <= most))
+        own = stopping_horizon(mission, min(most, horizon.steps))
+        if len(some):
+            controls = u[some, : own.steps]
+            x = own.discrete_model.simulate(start[some], controls)
+            part = own.control_points(x, controls)
+            is_near[some] = stays_within_reach(mission, own, x[..., : mission.axes], part)
+            low[some], high[some] = bounding_boxes(part)
+            points[some, : part.shape[1]], points[some, part.shape[1] :] = part, part[:, -1:, -1:]
+        first, most = most, 2 * most
+    return points, is_near, (low, high)
+
+
+def _add_rest(
+    mission: Reconfiguration, controls: "OfferedControls", steps: Int[Array, " entries"]
+) -> Int[Array, " entries"]:
+    """Return the lengths of controls with so many steps of rest after all that are no rounding.
 
     Before these there are as many steps at least, in which an agent may get out of the way.
     """
-    moving, (T, m) = trim_rest(np.where(np.abs(u) < least, 0.0, u)), u.shape
-    return np.concatenate([u, np.zeros((max(max(len(moving), steps) + steps - T, 0), m))])
+    least = NEGLIGIBLE * float(mission.largest_control.max())
+    moving = count_moving_steps(np.where(np.abs(controls.u) < least, 0.0, controls.u))
+    longer = np.maximum(controls.length, np.maximum(moving, steps) + steps)
+    return np.where(steps > 0, longer, controls.length)
 
 
 def _avoids_obstacles(
@@ -100,7 +159,7 @@ def _avoids_obstacles(
     horizon: AvoidanceHorizon,
     agents: Int[Array, " agents"],
     steps: Int[Array, " agents"],
-    paths: Float[Array, "agents choices pieces 4 d"],
+    paths: ByChoice,
     is_asked: Bool[Array, "agents choices"],
 ) -> Bool[Array, "agents choices"]:
     """Find the offers that are clear of all that an agent knows."""
@@ -118,42 +177,62 @@ def _avoids_obstacles(
     return is_clear
 
 
+class OfferedControls(NamedTuple):
+    """Controls that are offered, each once."""
+
+    row: Int[Array, " entries"]  # of the agent
+    u: Float[Array, "entries T m"]  # 0 after the last
+    length: Int[Array, " entries"]
+
+
 def _list_controls(
     context: DecisionContext, plans: Plans, committed: Commitments, plan_steps: tuple[int, ...]
-) -> tuple[list[Array], list[int], Int[Array, "agents choices"], Bool[Array, "agents choices"]]:
-    """List the controls that are offered, each once.
+) -> tuple[OfferedControls, Int[Array, "agents choices"], Bool[Array, "agents choices"]]:
+    """List the controls that are offered.
 
     Returns:
-        Controls; the agent of each; the place in this list of each agent's choices; and True for
-        choices that begin with the plan, which is not the case where it leads too far.
+        Controls; the place in this list of each agent's choices; and True for choices that begin
+        with the plan, which is not the case where it leads too far.
     """
-    mission, each, owner = context.mission, list[Array](), list[int]()
-    index = np.empty((len(plans), len(plan_steps)), dtype=int)
-    is_begun, farthest = np.zeros(index.shape, dtype=bool), longest_way(mission)
-    for row, (i, plan) in enumerate(plans.items()):
-        velocity, limit = context.state[i, mission.axes :], mission.planned_control_limit(i)
-        index[row] = len(each)
-        each.append(held_controls(mission, i, velocity, committed, context.instant))
-        if not is_kept(context, plan):
-            rest = limit.cut(plan.controls_from(context.step_index))
-            lengths = [min(q, len(rest)) for q in plan_steps[:-1]]
-            within = _steps_within_reach(context, plan, farthest)
-            begun = sorted({q for q in lengths if q < within})
-            place = {q: len(each) + n for n, q in enumerate(begun)}
-            for choice, q in enumerate(lengths):
-                if q in place:
-                    index[row, choice], is_begun[row, choice] = place[q], True
-            each += [end_at_rest(limit, velocity, rest[:q], mission.step) for q in place]
-        owner += [i] * (len(each) - len(owner))
-    return each, owner, index, is_begun
+    mission, agents = context.mission, np.array(list(plans))
+    velocity = context.state[agents, mission.axes :]
+    held, held_length = held_controls(mission, agents, velocity, committed, context.instant)
+    rests, within = _list_rests(context, plans)
+    # As many steps of the plan, or all that are left; of equal choices the first.
+    steps = np.minimum(plan_steps[:-1], np.array([len(rest) for rest in rests])[:, None])
+    is_begun = np.zeros((len(agents), len(plan_steps)), dtype=bool)
+    is_begun[:, :-1] = steps < within[:, None]
+    is_new = is_begun[:, :-1] & (np.diff(steps, axis=1, prepend=-1) != 0)
+    row, choice = np.nonzero(is_new)
+    index = np.tile(np.arange(len(agents))[:, None], len(plan_steps))
+    latest = len(agents) - 1 + is_new.cumsum().reshape(is_new.shape)
+    index[is_begun] = latest[is_begun[:, :-1]]
+    begun = pad_controls(rests)
+    for limit, some in mission.group_by_limit(agents):
+        begun[some] = limit.cut(begun[some])
+    own = agents[row], velocity[row], begun[row], steps[row, choice]
+    u, length = end_at_rest(mission, *own)
+    T = max(held.shape[1], u.shape[1])
+    both = np.concatenate([add_steps(held, T), add_steps(u, T)])
+    rows = np.concatenate([np.arange(len(agents)), row])
+    return OfferedControls(rows, both, np.concatenate([held_length, length])), index, is_begun
 
 
-def _steps_within_reach(context: DecisionContext, plan: Plan, farthest: float) -> int:
-    """Return after how many steps a plan is farther from where it is now [m]."""
-    mission, k = context.mission, context.step_index - plan.planned_at
-    away = plan.trajectory.x[k:, : mission.axes] - plan.trajectory.x[k, : mission.axes]
-    is_far = np.einsum("kd,kd->k", away, away) > farthest**2
-    return int(is_far.argmax()) if is_far.any() else len(away)
+def _list_rests(
+    context: DecisionContext, plans: Plans
+) -> tuple[list[Float[Array, "left m"]], Int[Array, " agents"]]:
+    """Return what is left of new plans, and after how many steps each is too far from here."""
+    mission, rests, ways = context.mission, list[Array](), list[Array]()
+    for plan in plans.values():
+        begin = context.step_index - plan.planned_at
+        left = slice(begin, begin if is_kept(context, plan) else None)
+        rests.append(plan.trajectory.u[left])
+        ways.append(plan.trajectory.x[left, : mission.axes])
+    position, length = pad_controls(ways), np.array([len(way) for way in ways])
+    away = position - position[:, :1]
+    is_far = np.einsum("akd,akd->ak", away, away) > longest_way(mission) ** 2
+    is_far |= np.arange(position.shape[1]) >= length[:, None]
+    return rests, (~is_far).cumprod(axis=1).sum(axis=1)
 
 
 def rest_at_target(context: DecisionContext, agent: int) -> Float[Array, " n"]:

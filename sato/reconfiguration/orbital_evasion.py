@@ -159,7 +159,7 @@ def offer_detour(
     """
     kept = hull_distance(offers.paths[row, -1] - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
-    u, paths, allowed = offers.u.copy(), offers.paths.copy(), offers.is_allowed.copy()
+    u, paths, allowed = map(np.array, (offers.u[:, :], offers.paths[:, :], offers.is_allowed))
     for own, path in zip(detours.u, detours.paths, strict=True):
         if convexify.are_hulls_separated(path - others, clearance).all():
             u[row, 1], paths[row, 1], allowed[row, :2] = own, path, (False, True)

@@ -5,6 +5,10 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray as Array
+
 from dynamics.discretize import DiscreteModel
 from problems.limit import Limit
 from sato.reconfiguration.tracking import (
@@ -75,6 +79,23 @@ class PlannedLimits(Vehicles):
         They leave a part of it to the feedback that keeps it near its reference.
         """
         return self._planned_control_limits[agent % len(self.control_limits)]
+
+    def group_by_limit(
+        self, agents: Int[Array, " agents"]
+    ) -> list[tuple[Limit, Int[Array, " rows"]]]:
+        """Return each limit of the acceleration in plans, and the rows of the agents that have it.
+
+        Args:
+            agents: Numbers of the agents.
+        """
+        if len(self.control_limits) == 1:
+            return [(self.planned_control_limit(0), np.arange(len(agents)))]
+        rows: dict[bytes, list[int]] = {}
+        for row, i in enumerate(agents.tolist()):
+            bound = np.asarray(self.planned_control_limit(i).bound)
+            rows.setdefault(bound.tobytes(), []).append(row)
+        groups = [np.array(some) for some in rows.values()]
+        return [(self.planned_control_limit(int(agents[some[0]])), some) for some in groups]
 
     @cached_property
     def _planned_control_limits(self) -> tuple[Limit, ...]:

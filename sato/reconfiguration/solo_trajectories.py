@@ -58,10 +58,9 @@ def solve_solo_trajectories(
         x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
         steps = linearize_along(mission.nonlinear_model, x, u, mission.step, context.time)
         problems = [replace(shared, model=steps.for_agent(i)) for i in range(len(agents))]
-        for i, problem in enumerate(problems):
-            own = state[[i]], targets[[i]], solvers[i : i + 1]
-            (found[i],), count = solve_solo_transfers(problem, *own)
-            solves += count
+        own_models = replace(shared, model=steps)
+        found, count = solve_solo_transfers(own_models, state, targets, solvers)
+        solves += count
     each_found = list(zip(agents, problems, found, each, strict=True))
     trajectories = [f or _fallback(problem, *own) for _, problem, f, own in each_found]
     unreachable = [i for i, _, f, (_, _, rest, _) in each_found if f is None and rest is None]
@@ -94,7 +93,7 @@ def solve_solo_transfers(
     """Solve one transfer for many agents, and count the programs solved one by one.
 
     Args:
-        transfer: Dynamics and limits, the same for all.
+        transfer: Dynamics, the same for all or those of each, and limits.
         start: States of the agents.
         targets: Target of each.
         solvers: Solver of each; the default where empty.
@@ -105,9 +104,12 @@ def solve_solo_transfers(
     model, solvers = transfer.model, solvers or [solve_program] * len(start)
     if len(model) == 0:
         return [transfer.simulate(x, np.zeros((0, model.axes))) for x in start], 0
+    alone = [transfer] * len(start)
+    if model.A.ndim > 3:
+        alone = [replace(transfer, model=model.for_agent(i)) for i in range(len(start))]
     if not transfer.is_linear:
-        each = zip(start, targets, solvers, strict=True)
-        return [solve_transfer(transfer, *own) for own in each], len(start)
+        each = zip(alone, start, targets, solvers, strict=True)
+        return [solve_transfer(*own) for own in each], len(start)
     b = targets - model.coast_to_end(start)
     u = solve_minimum_fuel(model, b, transfer.max_control, transfer.weights).u
     x = model.simulate(start, u)
@@ -118,7 +120,7 @@ def solve_solo_transfers(
     ]
     too_fast = np.flatnonzero(transfer.is_too_fast(x).any(axis=1))
     for i in too_fast.tolist():
-        found[i] = solve_transfer(transfer, start[i], targets[i], solvers[i])
+        found[i] = solve_transfer(alone[i], start[i], targets[i], solvers[i])
     return found, len(too_fast)
 
 

@@ -6,11 +6,10 @@ instants, so that two vehicles that do not hear each other cannot meet before th
 
 from collections.abc import Sequence
 from functools import lru_cache
-from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems import convexify
@@ -50,27 +49,60 @@ def controls_at(
 
     Solvers exceed the limit by rounding, which is cut.
     """
-    control = np.full((len(alive), mission.axes), np.nan)
-    for i in np.flatnonzero(alive).tolist():
-        u = committed[i].controls_from(step)
-        control[i] = mission.planned_control_limit(i).cut(u[0]) if len(u) else 0.0
+    control, live = np.full((len(alive), mission.axes), np.nan), np.flatnonzero(alive)
+    control[live] = 0.0
+    for i in live.tolist():
+        ahead = committed[i].controls_from(step)
+        if len(ahead):
+            control[i] = ahead[0]
+    for limit, rows in mission.group_by_limit(live):
+        control[live[rows]] = limit.cut(control[live[rows]])
     return control
 
 
 def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[Array, "T m"]:
     """Return equal controls that bring a double integrator to rest, in the fewest steps."""
-    steps = float(limit.measure(velocity)) / (limit.most * h)
-    count = 0 if steps < REST_TOLERANCE else ceil(steps * (1 - 1e-9))
-    u = np.empty((count, len(velocity)))
-    u[:] = -velocity / (max(count, 1) * h)
-    return u
+    count = int(count_stop_steps(limit, velocity, h))
+    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
+
+
+def count_stop_steps(limit: Limit, velocity: Float[Array, "*k m"], h: float) -> Int[Array, "*k"]:
+    """Count the steps in which double integrators come to rest at once, the fewest."""
+    steps = limit.measure(velocity) / (limit.most * h)
+    return np.where(steps < REST_TOLERANCE, 0, np.ceil(steps * (1 - 1e-9))).astype(int)
 
 
 def end_at_rest(
-    limit: Limit, velocity: Float[Array, " m"], u: Float[Array, "k m"], h: float
-) -> Float[Array, "T m"]:
-    """Return controls, and those that then stop a double integrator, from a velocity on."""
-    return np.concatenate([u, stop_at_once(limit, velocity + h * u.sum(axis=0), h)])
+    mission: Reconfiguration,
+    agents: Int[Array, " each"],
+    velocity: Float[Array, "each m"],
+    u: Float[Array, "each _ m"],
+    steps: Int[Array, " each"],
+) -> tuple[Float[Array, "each T m"], Int[Array, " each"]]:
+    """Let double integrators stop at once after some steps of controls.
+
+    Args:
+        mission: Limits.
+        agents: Number of the agent of each.
+        velocity: Velocity of each before the first step [m/s].
+        u: Controls, of which each begins with some.
+        steps: Number of these.
+
+    Returns:
+        Controls, 0 after the last of each, and how many each has.
+    """
+    h, row = mission.step, np.arange(len(agents))
+    gained = np.concatenate([np.zeros_like(velocity)[:, None], u.cumsum(axis=1)], axis=1)
+    left, count = velocity + h * gained[row, steps], np.zeros(len(agents), dtype=int)
+    for limit, rows in mission.group_by_limit(agents):
+        count[rows] = count_stop_steps(limit, left[rows], h)
+    length, k = steps + count, np.arange(int((steps + count).max(initial=0)))
+    found = np.zeros((len(agents), len(k), mission.axes))
+    begun = k[: u.shape[1]] < steps[:, None]
+    found[:, : u.shape[1]] = np.where(begun[..., None], u[:, : len(k)], 0.0)
+    stops = (k >= steps[:, None]) & (k < length[:, None])
+    found[stops] = np.repeat(-left / (np.maximum(count, 1) * h)[:, None], count, axis=0)
+    return found, length
 
 
 def committed_controls(
@@ -84,28 +116,38 @@ def committed_controls(
 
 def held_controls(
     mission: Reconfiguration,
-    agent: int,
-    velocity: Float[Array, " m"],
+    agents: Int[Array, " each"],
+    velocity: Float[Array, "each m"],
     committed: Commitments,
     instant: int,
-) -> Float[Array, "T m"]:
-    """Return what an agent flies if it does not decide again; one without a commitment stops.
+) -> tuple[Float[Array, "each T m"], Int[Array, " each"]]:
+    """Return what agents fly if they do not decide again; one without a commitment stops.
 
     A speed that noise has left is lost as soon as the committed controls end.
+
+    Returns:
+        Controls, 0 after the last of each, and how many each has.
     """
-    held = committed_controls(mission, agent, committed, instant)
-    limit = mission.planned_control_limit(agent)
-    u = end_at_rest(limit, velocity, trim_rest(held), mission.step)
-    return np.concatenate([u, held[len(u) :]])
+    each = [committed_controls(mission, i, committed, instant) for i in agents.tolist()]
+    held = pad_controls(each)
+    u, length = end_at_rest(mission, agents, velocity, held, count_moving_steps(held))
+    length = np.maximum(length, [len(own) for own in each])
+    return add_steps(u, int(length.max(initial=0))), length
 
 
-def trim_rest(u: Float[Array, "T m"]) -> Float[Array, "_ m"]:
-    """Return controls without the zeros at their end."""
-    return u[: int(np.flatnonzero(u.any(axis=1)).max(initial=-1)) + 1]
+def count_moving_steps(u: Float[Array, "*k T m"]) -> Int[Array, "*k"]:
+    """Count the steps of controls up to the last that is not 0."""
+    return np.asarray((u.any(axis=-1) * np.arange(1, u.shape[-2] + 1)).max(axis=-1, initial=0))
 
 
-def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int) -> Float[Array, "each T m"]:
-    """Stack controls, with zeros up to so many steps."""
+def add_steps(u: Float[Array, "each _ m"], steps: int) -> Float[Array, "each T m"]:
+    """Return controls over so many steps, 0 in those that are added."""
+    return np.pad(u, ((0, 0), (0, steps - u.shape[1]), (0, 0)))
+
+
+def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int = 0) -> Float[Array, "each T m"]:
+    """Stack controls, with zeros up to so many steps, or up to those of the longest."""
+    steps = steps or max(map(len, each), default=0)
     u = np.zeros((len(each), steps, each[0].shape[1]))
     for own, filled in zip(each, u, strict=True):
         filled[: len(own)] = own
@@ -136,8 +178,8 @@ def stays_within_reach(
     reach = longest_way(mission)
     # Most trajectories lie in a small box, or lead too far from where they begin.
     paths = horizon.unscale_points(paths)
-    axes = (paths[..., axis] for axis in range(paths.shape[-1]))  # each by itself is far faster
-    size = np.linalg.norm([np.ptp(own, axis=(-2, -1)) for own in axes], axis=0)
+    low, high = bounding_boxes(paths)
+    size = np.linalg.norm(high - low, axis=-1)
     ahead = paths - position[..., :1, None, :]
     away = np.sqrt(np.einsum("...d,...d->...", ahead, ahead).max(axis=(-2, -1)))
     within, is_open = np.asarray(size <= reach), np.asarray((size > reach) & (away <= reach))
@@ -149,6 +191,15 @@ def stays_within_reach(
         farthest = np.maximum(farthest, squares.max(axis=(1, 2)))
     within[is_open] = farthest <= reach**2
     return within
+
+
+def bounding_boxes(
+    paths: Float[Array, "*k pieces 4 d"],
+) -> tuple[Float[Array, "*k d"], Float[Array, "*k d"]]:
+    """Return the lowest and the highest coordinates of control points [m]."""
+    axes = [paths[..., axis] for axis in range(paths.shape[-1])]  # each by itself is far faster
+    low, high = ([f(own, axis=(-2, -1)) for own in axes] for f in (np.min, np.max))
+    return np.stack(low, axis=-1), np.stack(high, axis=-1)
 
 
 def find_stop(

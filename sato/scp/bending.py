@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.spatial.distance import cdist
 
 from problems import convexify
 from problems.obstacle_paths import nearest_points, select_near
@@ -38,9 +37,12 @@ def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Pl
     ids, paths, own = stack_paths(now)
     path = paths[:, :, 0]
     middle, extent = convexify.enclosing_balls(path)
-    most = extent[:, None] + extent + (own[:, None] + own) / 2
-    near = graph.adjacency[np.ix_(ids, ids)] & (cdist(middle, middle) < most)
-    i, j = np.nonzero(np.triu(near))
+    i, j = graph.pairs_among(ids)
+    most = extent[i] + extent[j] + (own[i] + own[j]) / 2
+    near = np.linalg.norm(middle[i] - middle[j], axis=1) < most
+    i, j = i[near], j[near]
+    some = np.unique(convexify.near_pieces(path[:, :, None], i, j, (own[i] + own[j]) / 2)[0])
+    i, j = i[some], j[some]
     apart, R = np.linalg.norm(path[i] - path[j], axis=2), (own[i] + own[j]) / 2
     last = np.array([count_pieces_left(agent) - 1 for agent in now.values()])
     met = _are_too_near(apart, R, last[i]) | _are_too_near(apart, R, last[j])

@@ -42,8 +42,8 @@ def run_batched(
     own = np.array([agent.horizon.clearance for agent in now])
     rank = np.empty(len(now), dtype=int)
     rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
-    above = graph.adjacency[np.ix_(ids, ids)] & (rank < rank[:, None])
-    lower, upper = np.nonzero(above)
+    i, j = graph.pairs_among(ids)
+    lower, upper = np.where(rank[i] > rank[j], (i, j), (j, i))
     radius = (own[lower] + own[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])
     conflicts = ~are_paths_separated(paths, lower, upper, radius)
@@ -54,7 +54,8 @@ def run_batched(
     while not final.all():
         in_conflict = meets.copy()
         in_conflict[lower[conflicts]] = True
-        waits = (above & ~final).any(axis=1)
+        waits = np.zeros(len(now), dtype=bool)
+        waits[lower[~final[upper]]] = True
         acts = ~final & (in_conflict | has_deviated) & ~(in_turn & waits)
         acting = np.flatnonzero(acts).tolist()
         messages = {i: agent.message for i, agent in zip(ids, now, strict=True)} if acting else {}

@@ -72,8 +72,7 @@ def _repeat(
 def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
     ids, paths, own = stack_paths(now)
     rank = np.array([now[i].priority[0] for i in ids])
-    heard = graph.adjacency[np.ix_(ids, ids)]
-    i, j = np.nonzero(np.triu(heard))
+    i, j = graph.pairs_among(ids)
     meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
     acts = np.array([_improves(own) or not own.keeps_clear([]) for own in now.values()])

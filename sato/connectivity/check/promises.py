@@ -1,7 +1,6 @@
 """Promises of a connectivity run, each checked by recomputing it."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,16 +19,14 @@ from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import run_attributes
 from sato.network.graph import canonicalize_labels, label_components
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 TOLERANCE = 1e-9  # rounding of weights, eigenvalues, cosines and speeds
 NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ is beyond
 
 
 def check_run(
-    data: "xarray.Dataset", mission: Connectivity, rng: np.random.Generator | None = None
+    data: RunData, mission: Connectivity, rng: np.random.Generator | None = None
 ) -> Report:
     """Check the data of a run against a drawn mission.
 
@@ -38,7 +35,7 @@ def check_run(
         mission: Mission that was to be flown, drawn.
         rng: Not used: noise and losses are checked by their effects.
     """
-    record = ConnectivityRecord.from_dataset(data, mission)
+    record = ConnectivityRecord.from_data(data, mission)
     frames = record.frames
     states = (
         frames.position, frames.velocity, frames.yaw, frames.velocity_command, frames.yaw_rate,
@@ -143,10 +140,13 @@ def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
     frames, limit = record.frames, record.mission.potential.lambda2_min
     weight, alive, lambda2 = frames.edge_weight, frames.alive, frames.lambda2
     # Of the live agents alone, and not by the function that the flight used.
-    live = [laplacian(w[np.ix_(a, a)]) for w, a in zip(weight, alive, strict=True)]
-    found = np.transpose([[*np.linalg.eigvalsh(L), *[np.inf] * 3][1:3] for L in live])
-    with np.errstate(invalid="ignore"):  # infinite where there is no such eigenvalue
-        off = np.subtract(found, [lambda2, frames.lambda3])
+    found = np.full((len(alive), 2), np.inf)  # infinite where there is no such eigenvalue
+    swarms, number = np.unique(alive, axis=0, return_inverse=True)
+    for k, live in enumerate(swarms):
+        value = np.linalg.eigvalsh(laplacian(weight[number == k][:, live][:, :, live]))[:, 1:3]
+        found[number == k, : value.shape[1]] = value
+    with np.errstate(invalid="ignore"):
+        off = found - np.column_stack([lambda2, frames.lambda3])
     off, tolerance = off[~(np.isinf(found) & np.isnan(off))], TOLERANCE * weight.shape[1]
     yield expect_small_error("eigenvalues", off, tolerance, "off from those of the weights")
     labels = [label_components(w > 0, a) for w, a in zip(weight, alive, strict=True)]

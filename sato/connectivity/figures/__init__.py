@@ -1,15 +1,12 @@
 """Figures of a connectivity run, the first five after [Bernard2023, Fig. 4–7]."""
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from sato.connectivity.check import ConnectivityRecord
 from sato.connectivity.figures import laws, time_series, trajectories
 from sato.connectivity.mission import Connectivity
 from sato.interfaces import FigureFactories
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 FIGURES = {
     "paths": trajectories.plot_trajectories,
@@ -22,7 +19,7 @@ FIGURES = {
 }
 
 
-def make_figures(data: "xarray.Dataset", mission: Connectivity) -> FigureFactories:
+def make_figures(data: RunData, mission: Connectivity) -> FigureFactories:
     """Return functions that draw the figures of a run, by name."""
-    record = ConnectivityRecord.from_dataset(data, mission)
+    record = ConnectivityRecord.from_data(data, mission)
     return {name: partial(draw, record) for name, draw in FIGURES.items()}

@@ -32,7 +32,7 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
     axes = figure.subplots(2, 2)
     by_range, by_angle, by_views, one_sided = axes.ravel()
     d = np.linspace(0, 1.1 * sight.d_max, GRID_POINTS)
-    by_range.plot(d, range_weight(d, sight)[0], color=BLUE, lw=1.5)
+    by_range.plot(d, range_weight(d, sight), color=BLUE, lw=1.5)
     for level, name in (
         (sight.d_min, "d$_{min}$"),
         (sight.d_near, "D$_1$"),
@@ -43,7 +43,7 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
     by_range.set(xlabel="distance [m]", ylabel="γ$_{ij}$", xlim=(0, d[-1]), ylim=(0, None))
 
     degrees = np.linspace(0, 180, GRID_POINTS)
-    in_view, _ = cosine_ramp(np.cos(np.radians(degrees)), sight.a_min, sight.a_max)
+    in_view = cosine_ramp(np.cos(np.radians(degrees)), sight.a_min, sight.a_max)
     by_angle.plot(degrees, in_view, color=BLUE, lw=1.5)
     for cosine, name in ((sight.a_max, "a$_{max}$"), (sight.a_min, "a$_{min}$")):
         if abs(cosine) < 1:
@@ -64,7 +64,7 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
     x, y = np.meshgrid(*[np.linspace(-reach, reach, GRID_POINTS)] * 2)
     d = np.maximum(np.hypot(x, y), 1e-9)
     toward = (sight.optical_axis[0] * x + sight.optical_axis[1] * y) / d
-    weight = range_weight(d, sight)[0] * cosine_ramp(toward, sight.a_min, sight.a_max)[0]
+    weight = range_weight(d, sight) * cosine_ramp(toward, sight.a_min, sight.a_max)
     style: dict[str, Any] = {"cmap": COLORMAP, "vmin": 0, "vmax": 1, "origin": "lower"}
     image = one_sided.imshow(weight, extent=(-reach, reach) * 2, **style)
     for radius in (sight.d_min, sight.d_max):

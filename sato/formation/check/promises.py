@@ -1,7 +1,6 @@
 """Promises of a formation flight, each checked by recomputing it."""
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy import ndarray as Array
@@ -19,9 +18,7 @@ from sato.check.report import (
 from sato.formation.check.recorded import FormationRecord, summarize
 from sato.formation.mission import Formation
 from sato.formation.record import collect_attributes
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 RESIDUAL = 1e-10  # of gains, from rounding
 NOISE_SIGMAS = 2.5  # of measured coordinates, by which two may come closer than keep_out
@@ -29,7 +26,7 @@ NOISE_ALLOWANCE = 0.05  # at most so much closer [m]
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
-def check_run(data: "xarray.Dataset", mission: Formation, rng: Generator | None = None) -> Report:
+def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -> Report:
     """Check the data of a run against a drawn mission.
 
     Args:
@@ -37,7 +34,7 @@ def check_run(data: "xarray.Dataset", mission: Formation, rng: Generator | None 
         mission: Mission that was to be flown, drawn.
         rng: Not used: noise and losses are checked by their effects.
     """
-    record = FormationRecord.from_dataset(data, mission)
+    record = FormationRecord.from_data(data, mission)
     frames, attributes = record.frames, record.attributes
     command, drift = frames.velocity_command, frames.frame_drift
     end = "" if record.replay.is_complete else "the flight ends where it should not"

@@ -1,7 +1,6 @@
 """Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,9 +26,7 @@ from sato.reconfiguration.check.summary import is_reached, summarize
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import CHIEF_ELEMENTS, collect_attributes, stack_targets
 from sato.record import RunFileError
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 PROMISES = tuple(
     "complete attributes times chief numbers start alive component flight applied measured control"
@@ -40,7 +37,7 @@ PROMISES = tuple(
 ROUNDING_TOLERANCE = 1e-10
 
 
-def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.Generator) -> Report:
+def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator) -> Report:
     """Check a run's data against its drawn mission.
 
     Args:
@@ -48,7 +45,7 @@ def check_run(data: "xarray.Dataset", mission: Reconfiguration, rng: np.random.G
         mission: Drawn mission.
         rng: Generator as the drawing of the mission left it.
     """
-    record = ReconfigurationRecord.from_dataset(data, mission)
+    record = ReconfigurationRecord.from_data(data, mission)
     frames, log = record.frames, record.events
     given, wanted = record.state.shape[1], len(mission.initial_states)
     if given != wanted:

@@ -1,7 +1,6 @@
 """Figures of a reconfiguration, after those of the paper [Morgan2016, Figs. 2, 4, 5 and 6]."""
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from sato.interfaces import FigureFactories
 from sato.reconfiguration.check import ReconfigurationRecord
@@ -9,9 +8,7 @@ from sato.reconfiguration.figures import drifts, half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import has_chief
 from sato.reconfiguration.mission import Reconfiguration
-
-if TYPE_CHECKING:
-    import xarray
+from sato.run_data import RunData
 
 FIGURES = {
     "stages": snapshots.plot_stages,
@@ -28,15 +25,15 @@ ORBIT_FIGURES = {
 }
 
 
-def make_figures(data: "xarray.Dataset", mission: Reconfiguration) -> FigureFactories:
+def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     """Prepare the figures of a run; those of `ORBIT_FIGURES` only where it has a chief."""
-    record = ReconfigurationRecord.from_dataset(data, mission)
+    record = ReconfigurationRecord.from_data(data, mission)
     drawn = FIGURES | ORBIT_FIGURES if has_chief(record) else FIGURES
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}
 
 
-def make_animation(data: "xarray.Dataset", mission: Reconfiguration) -> SwarmAnimation:
+def make_animation(data: RunData, mission: Reconfiguration) -> SwarmAnimation:
     """Prepare the animation of a run."""
-    return SwarmAnimation(ReconfigurationRecord.from_dataset(data, mission))
+    return SwarmAnimation(ReconfigurationRecord.from_data(data, mission))
