@@ -239,13 +239,17 @@ def near_pieces(
     Returns:
         Number of the pair, and the piece, of all that are left.
     """
-    pieces, d = paths.shape[1], paths.shape[-1]
+    (pieces, corners, d), (compared, place) = (
+        paths.shape[1:],
+        np.unique([i, j], return_inverse=True),
+    )
+    i, j = place.reshape(2, -1)
     first = np.arange(0, pieces, BOX_PIECES)
-    low, high = np.empty((2, d, len(paths), len(first)))
+    low, high = np.empty((2, d, len(compared), len(first)))
     for axis in range(d):  # each by itself is far faster
-        own = paths[..., axis]
-        low[axis] = np.minimum.reduceat(own.min(axis=2), first, axis=1)
-        high[axis] = np.maximum.reduceat(own.max(axis=2), first, axis=1)
+        own = paths[compared, ..., axis].reshape(len(compared), pieces * corners)
+        low[axis] = np.minimum.reduceat(own, first * corners, axis=1)
+        high[axis] = np.maximum.reduceat(own, first * corners, axis=1)
     most, found = (radius * (1 + ROUNDING)) ** 2, []
     count = max(1, MAX_COORDINATES // max(1, len(first)))
     for begin in range(0, len(i), count):
@@ -254,7 +258,7 @@ def near_pieces(
         for below, above in zip(low, high, strict=True):
             gap = np.maximum(below[i[some]] - above[j[some]], below[j[some]] - above[i[some]])
             square = square + np.square(np.maximum(gap, 0.0))
-        found.append(np.argwhere(square <= most[some, None]) + [begin, 0])
+        found.append(np.argwhere(square <= most[some, None]) + np.array([begin, 0]))
     pair, box = np.concatenate(found or [np.zeros((0, 2), dtype=int)]).T
     piece = box[:, None] * BOX_PIECES + np.arange(BOX_PIECES)
     is_there = piece < pieces

@@ -43,6 +43,29 @@ class ByChoice:
         return np.asarray(self.values[(self.index[agent, choice], *rest)])
 
 
+@dataclass(frozen=True, eq=False)
+class PathsByChoice:
+    """Control points by agent and choice, each kept once, and only until it comes to rest."""
+
+    pieces: int  # over which they are returned
+    parts: tuple[Float[Array, "_ _ 4 d"], ...]  # of equal lengths
+    part: Int[Array, " entries"]  # of each entry
+    place: Int[Array, " entries"]  # in that part
+    index: Int[Array, "agents choices"]  # of the entry of each choice
+
+    def __getitem__(self, place: tuple[Any, ...]) -> Float[Array, "*k _ 4 d"]:
+        agent, choice, *rest = place
+        asked = np.asarray(self.index[agent, choice])
+        entry = asked.ravel()
+        found = np.empty((len(entry), self.pieces, *self.parts[0].shape[2:]))
+        for number, part in enumerate(self.parts):
+            (some,) = np.nonzero(self.part[entry] == number)
+            own = part[self.place[entry[some]]]
+            found[some, : own.shape[1]], found[some, own.shape[1] :] = own, own[:, -1:, -1:]
+        found = found.reshape(*asked.shape, *found.shape[1:])
+        return np.asarray(found[(*[slice(None)] * asked.ndim, *rest)])
+
+
 Boxes = tuple[Float[Array, "k d"], Float[Array, "k d"]]  # lowest and highest coordinates
 
 
@@ -54,7 +77,7 @@ class Offers(NamedTuple):
     steps: Int[Array, " agents"]  # in which all choices of each agent have come to rest, and one
     horizon: AvoidanceHorizon  # the most of these
     u: Float[Array, "agents choices T m"] | ByChoice
-    paths: Float[Array, "agents choices pieces 4 d"] | ByChoice
+    paths: Float[Array, "agents choices pieces 4 d"] | PathsByChoice
     is_allowed: Bool[Array, "agents choices"]
     clearance: Float[Array, " agents"]  # that two of each kind keep [m]
     drifts: OfferedDrifts | None = None  # where agents are to be passively safe
@@ -92,8 +115,8 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     horizon = stopping_horizon(mission, int(steps.max()))
     u = add_steps(controls.u, horizon.steps)
     start = context.state[agents[controls.row]]
-    points, is_near, (low, high) = _fly(mission, horizon, start, u)
-    paths, is_allowed = ByChoice(points, index), is_near[index] & is_begun
+    paths, is_near, (low, high) = _fly(mission, horizon, start, u, index)
+    is_allowed = is_near[index] & is_begun
     is_allowed &= _avoids_obstacles(context, horizon, agents, steps, paths, is_allowed)
     # Fewer steps than until the next decision are for those that cannot stop within reach.
     is_whole = np.array(plan_steps) >= steps_to_next(context)
@@ -118,12 +141,13 @@ def _fly(
     horizon: AvoidanceHorizon,
     start: Float[Array, "entries n"],
     u: Float[Array, "entries T m"],
-) -> tuple[Float[Array, "entries pieces 4 d"], Bool[Array, " entries"], Boxes]:
-    """Return control points over the horizon, True for what stays within reach, and boxes.
+    index: Int[Array, "agents choices"],
+) -> tuple[PathsByChoice, Bool[Array, " entries"], Boxes]:
+    """Return paths, True for what stays within reach, and boxes about each.
 
     What soon comes to rest is flown until then alone.
     """
-    points = np.empty((len(u), len(horizon.fine_model), 4, mission.axes))
+    parts, part_of, place = list[Array](), *np.empty((2, len(u)), dtype=int)
     low, high = np.empty((2, len(u), mission.axes))
     is_near, moving = np.empty(len(u), dtype=bool), count_moving_steps(u)
     most, first = 1, -1
@@ -136,9 +160,11 @@ def _fly(
             part = own.control_points(x, controls)
             is_near[some] = stays_within_reach(mission, own, x[..., : mission.axes], part)
             low[some], high[some] = bounding_boxes(part)
-            points[some, : part.shape[1]], points[some, part.shape[1] :] = part, part[:, -1:, -1:]
+            part_of[some], place[some] = len(parts), np.arange(len(some))
+            parts.append(part)
         first, most = most, 2 * most
-    return points, is_near, (low, high)
+    pieces = len(horizon.fine_model)
+    return PathsByChoice(pieces, tuple(parts), part_of, place, index), is_near, (low, high)
 
 
 def _add_rest(
@@ -159,7 +185,7 @@ def _avoids_obstacles(
     horizon: AvoidanceHorizon,
     agents: Int[Array, " agents"],
     steps: Int[Array, " agents"],
-    paths: ByChoice,
+    paths: PathsByChoice,
     is_asked: Bool[Array, "agents choices"],
 ) -> Bool[Array, "agents choices"]:
     """Find the offers that are clear of all that an agent knows."""
