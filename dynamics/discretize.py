@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
+BLOCK_STEPS = 16  # that are integrated at once
 SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
 SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
@@ -99,7 +100,9 @@ def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -
 
     Exact for a time-invariant model [Morgan2016, eq. 11]. The equations of other models
     are integrated over each step, to eleven digits, and not frozen as in eq. 11. That
-    takes time: for a model that is a frozen, hashable dataclass, steps are kept and reused.
+    takes time: for a model that is a frozen, hashable dataclass, steps are kept and reused. Those
+    that begin at a multiple of their length are computed in blocks, which begin up to 15 steps
+    before the first and end up to 15 after the last.
 
     Args:
         model: The model, of any class derived from `LinearModel`.
@@ -115,7 +118,16 @@ def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -
         return _discretize_time_invariant(model, dt, count)
     if not _is_immutable(model):
         return _discretize_time_varying(model, dt, count, t0)
-    return _discretize_cached(model, dt, count, t0)
+    first = round(t0 / dt)
+    if count == 0 or abs(t0 / dt - first) > SAME_STEP:
+        return _discretize_cached(model, dt, count, t0)
+    numbers = range(first // BLOCK_STEPS, (first + count - 1) // BLOCK_STEPS + 1)
+    blocks = [
+        _discretize_cached(model, dt, BLOCK_STEPS, number * BLOCK_STEPS * dt) for number in numbers
+    ]
+    A, B, z = (np.concatenate([getattr(block, name) for block in blocks]) for name in "ABz")
+    begin = first - numbers[0] * BLOCK_STEPS
+    return DiscreteModel(A, B, z, dt)[begin : begin + count]
 
 
 def linearize_along(
@@ -224,7 +236,7 @@ def _is_immutable(model: LinearModel) -> bool:
     return True
 
 
-@lru_cache(maxsize=64)  # planning asks for the same steps again and again
+@lru_cache(maxsize=1024)  # planning asks for the same steps again and again
 def _discretize_cached(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
     steps = _discretize_time_varying(model, dt, count, t0)
     for part in (steps.A, steps.B, steps.z):

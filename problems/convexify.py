@@ -72,19 +72,24 @@ class AvoidanceHorizon:
         T, S, d, h = self.steps, self.pieces_per_step, self.discrete_model.axes, self.fine_model.dt
         n = 2 * d
         P, Q, r = np.zeros((T, S, 4, d, n)), np.zeros((T, S, 4, d, d)), np.zeros((T, S, 4, d))
+        A, B, c = (
+            part.reshape(T, S, *part.shape[1:])
+            for part in (self.fine_model.A, self.fine_model.B, self.fine_model.z[..., None])
+        )
         third = np.concatenate([np.eye(d), np.eye(d) * h / 3], axis=1)
         back = np.concatenate([np.eye(d), -np.eye(d) * h / 3], axis=1)
         pick = np.stack([np.eye(d, n), third, back, np.eye(d, n)])
-        for k in range(T):
-            x, u, z = np.eye(n), np.zeros((n, d)), np.zeros(n)
-            for s in range(S):
-                piece, fine = k * S + s, self.fine_model
-                A, B, c = fine.A[piece], fine.B[piece], fine.z[piece]
-                after = A @ x, A @ u + B, A @ z + c
-                for i in range(4):
-                    x_i, u_i, z_i = (x, u, z) if i < 2 else after
-                    P[k, s, i], Q[k, s, i], r[k, s, i] = pick[i] @ x_i, pick[i] @ u_i, pick[i] @ z_i
-                x, u, z = after
+        x, u, z = np.tile(np.eye(n), (T, 1, 1)), np.zeros((T, n, d)), np.zeros((T, n, 1))
+        for s in range(S):
+            after = A[:, s] @ x, A[:, s] @ u + B[:, s], A[:, s] @ z + c[:, s]
+            for i in range(4):
+                x_i, u_i, z_i = (x, u, z) if i < 2 else after
+                P[:, s, i], Q[:, s, i], r[:, s, i] = (
+                    pick[i] @ x_i,
+                    pick[i] @ u_i,
+                    (pick[i] @ z_i)[..., 0],
+                )
+            x, u, z = after
         if self.scale is None:
             return P, Q, r
         wide = np.array(self.scale)
