@@ -70,10 +70,11 @@ def cosine_ramp(x: Numbers, low: float, high: float) -> Numbers:
     return (1 - np.cos(_ramp_phase(x, low, high))) / 2
 
 
-def cosine_ramp_slope(x: Numbers, low: float, high: float) -> Numbers:
-    """Compute the derivative of `cosine_ramp`."""
-    slope = pi / (2 * (high - low)) * np.sin(_ramp_phase(x, low, high))
-    return np.where((low < x) & (x < high), slope, 0.0)
+def cosine_ramp_and_slope(x: Numbers, low: float, high: float) -> tuple[Numbers, Numbers]:
+    """Compute `cosine_ramp` and its derivative."""
+    phase = _ramp_phase(x, low, high)
+    slope = pi / (2 * (high - low)) * np.sin(phase)
+    return (1 - np.cos(phase)) / 2, np.where((low < x) & (x < high), slope, 0.0)
 
 
 def _ramp_phase(x: Numbers, low: float, high: float) -> Numbers:
@@ -86,11 +87,11 @@ def range_weight(d: Numbers, camera: Camera) -> Numbers:
     return near * (1 - cosine_ramp(d, camera.d_far, camera.d_max))
 
 
-def range_weight_slope(d: Numbers, camera: Camera) -> Numbers:
-    """Compute the derivative of γ."""
-    rising, falling = (camera.d_min, camera.d_near), (camera.d_far, camera.d_max)
-    rise = cosine_ramp_slope(d, *rising) * (1 - cosine_ramp(d, *falling))
-    return rise - cosine_ramp(d, *rising) * cosine_ramp_slope(d, *falling)
+def range_weight_and_slope(d: Numbers, camera: Camera) -> tuple[Numbers, Numbers]:
+    """Compute γ and its derivative."""
+    near, rise = cosine_ramp_and_slope(d, camera.d_min, camera.d_near)
+    beyond, fall = cosine_ramp_and_slope(d, camera.d_far, camera.d_max)
+    return near * (1 - beyond), rise * (1 - beyond) - near * fall
 
 
 def edge_weights(
@@ -115,17 +116,17 @@ def edge_weights(
     """
     axis = np.array(camera.optical_axis)
     is_near = (camera.d_min < d) & (d < camera.d_max)
-    a, b = (own * axis).sum(axis=-1), (other * axis).sum(axis=-1)
+    both = np.stack([own, other])
+    cosine = (both * axis).sum(axis=-1)
     # An end out of view counts as seen at a_min, where its weight and its slope are 0.
-    seen = np.where([is_near & sees, is_near & is_seen], [a, b], camera.a_min)
-    f, g = cosine_ramp(seen, camera.a_min, camera.a_max)
-    f_slope, g_slope = cosine_ramp_slope(seen, camera.a_min, camera.a_max)
-    gamma, range_slope = range_weight(d, camera), range_weight_slope(d, camera)
+    seen = np.where([is_near & sees, is_near & is_seen], cosine, camera.a_min)
+    (f, g), (f_slope, g_slope) = cosine_ramp_and_slope(seen, camera.a_min, camera.a_max)
+    gamma, range_slope = range_weight_and_slope(d, camera)
     view = f + g - f * g
     rate_f, rate_g = gamma * (1 - g) * f_slope, gamma * (1 - f) * g_slope
     # P o_C of both bearings, with P = I − β βᵀ; that of the other in the frame of i
-    across_own = axis - a[..., None] * own
-    across_other = rotate_by_yaw(axis - b[..., None] * other, yaw)
+    across_own, across_other = axis - cosine[..., None] * both
+    across_other = rotate_by_yaw(across_other, yaw)
     turn = rate_g[..., None] * across_other - rate_f[..., None] * across_own
     by_position = (
         turn / np.where(is_near, d, 1.0)[..., None] - (view * range_slope)[..., None] * own

@@ -20,11 +20,11 @@ from problems.interaction_graph import (
     algebraic_connectivity,
     bearings,
     cosine_ramp,
-    cosine_ramp_slope,
+    cosine_ramp_and_slope,
     interaction_graph,
     lambda2_gradient,
     range_weight,
-    range_weight_slope,
+    range_weight_and_slope,
 )
 from sato.connectivity.settings import YawTracking
 from sato.connectivity.yaw_estimator import update_yaw_estimate, yaw_from_bearings
@@ -134,8 +134,10 @@ def weight_errors(pairs: Pairs) -> dict[str, float]:
     gamma, f, g, weight = pairs.weights.T
     a, b = pairs.bearing_ij @ AXIS, pairs.bearing_ji @ AXIS
     view = f + g - f * g
-    steep = range_weight_slope(pairs.d, SIGHT)[:, None]
-    df, dg = (cosine_ramp_slope(facing, SIGHT.a_min, SIGHT.a_max)[:, None] for facing in (a, b))
+    steep = range_weight_and_slope(pairs.d, SIGHT)[1][:, None]
+    df, dg = (
+        cosine_ramp_and_slope(facing, SIGHT.a_min, SIGHT.a_max)[1][:, None] for facing in (a, b)
+    )
     across = (AXIS - a[:, None] * pairs.bearing_ij) / pairs.d[:, None]  # P_ij o_C / d
     theirs = (AXIS - b[:, None] * pairs.bearing_ji) / pairs.d[:, None]  # P_ji o_C / d
     spun = AXIS[1] * pairs.bearing_ij[:, 0] - AXIS[0] * pairs.bearing_ij[:, 1]  # o_Cᵀ S β_ij

@@ -36,16 +36,16 @@ def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> Agen
     # where the rotation is printed in the wrong sense].
     p = np.where(sees[..., None], p, -rotate_by_yaw(p_back, psi))
     p_back = np.where(is_seen[..., None], p_back, -rotate_by_yaw(p, -psi))
-    d, d_back = (np.linalg.norm(v, axis=2) for v in (p, p_back))
-    edges = edge_weights(
-        d, p / d[..., None], p_back / d_back[..., None], psi, mission.assumed_camera, sees, is_seen
-    )
+    both = np.stack([p, p_back])
+    d = np.linalg.norm(both, axis=-1)
+    own, other = both / d[..., None]
+    edges = edge_weights(d[0], own, other, psi, mission.assumed_camera, sees, is_seen)
     has_edge = sees | is_seen
     weight = np.where(has_edge, edges.weights, 0.0)
     adjacency = estimates.adjacency
     if mission.estimator == "flood":
-        own, adjacency = np.arange(len(psi)), AdjacencyRows(*(part.copy() for part in adjacency))
-        adjacency.weight[own, own], adjacency.time[own, own] = weight, time
+        row, adjacency = np.arange(len(psi)), AdjacencyRows(*(part.copy() for part in adjacency))
+        adjacency.weight[row, row], adjacency.time[row, row] = weight, time
     return estimates._replace(
         velocity_observer=observer,
         relative_yaw=psi,

@@ -46,7 +46,7 @@ def estimate_relative_yaw(
     )  # fmt: skip
     observer = np.where((sees & has_message)[..., None], observer, estimates.velocity_observer)
     from_motion, trust = yaw_from_motion(observer, inbox.twist, tracking)
-    mutual = np.where(is_seen, _view_weight(p, camera) * _view_weight(p_back, camera), 0.0)
+    mutual = np.where(is_seen, _view_weight(np.stack([p, p_back]), camera).prod(axis=0), 0.0)
     # Both bearings are of the time of the message, which corrects once: when it arrives.
     has_both = is_seen & inbox.is_new & ~np.isnan(inbox.own_relative_position[..., 0])
     from_bearings = yaw_from_bearings(inbox.own_relative_position, p_back) + age * rate
@@ -137,7 +137,7 @@ def yaw_from_motion(
     if tracking.as_printed:
         speed = np.linalg.norm(twist[..., :3], axis=-1)
     else:
-        slower = np.minimum(*(np.linalg.norm(v, axis=-1) for v in (observed, received)))
+        slower = np.linalg.norm(np.stack([observed, received]), axis=-1).min(axis=0)
         speed = np.where(observer[..., 6] >= 3 / tracking.k1, slower, 0.0)
     trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)
     return wrap_angle(_direction(observed) - _direction(received)), trust

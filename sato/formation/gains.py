@@ -1,6 +1,7 @@
 """Gains of a leg: designed for its formation, listed, or read from a file."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -24,10 +25,18 @@ class DesignedGains(Definition):
         Raises:
             InputError: It has none, or the method finds none.
         """
+        parts = formation.points.tobytes(), formation.graph.tobytes(), formation.name
         try:
-            return design_gains(formation, self.kind)
+            return _design_once(self.kind, *parts)
         except (NoStabilizingGain, GainDesignUndecided) as error:
             raise InputError("graph", str(error)) from error
+
+
+@lru_cache(maxsize=16)  # a run and its check draw the same formations
+def _design_once(method: GainMethod, points: bytes, graph: bytes, name: str) -> GainMatrix:
+    positions = np.frombuffer(points).reshape(-1, 3)
+    adjacency = np.frombuffer(graph, dtype=bool).reshape(len(positions), -1)
+    return design_gains(DesiredFormation(positions, adjacency, name), method)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
