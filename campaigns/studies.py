@@ -60,7 +60,7 @@ def judge_formations(run: sato.Run) -> dict[str, Any]:
     Ours must be upright, as printed they may be mirror images.
     """
     mission, summary = run.drawn_mission, run.summary
-    legs = FormationRecord.from_dataset(run.data, mission).replay.legs
+    legs = FormationRecord.from_data(run.recorded, mission).replay.legs
     settled = len(legs) == len(mission.legs) and all(leg.completed for leg in legs)
     inverted = any(leg.get("inverted", False) for leg in summary["legs"])
     is_close = settled and summary["shape_error_m"] <= SHAPE_TOLERANCE
@@ -113,7 +113,7 @@ def judge_transitions(run: sato.Run) -> dict[str, Any]:
 
 def _transitions(run: sato.Run) -> Iterator[tuple[str, FormationRecord]]:
     drawn = run.drawn_mission
-    record = FormationRecord.from_dataset(run.data, drawn)
+    record = FormationRecord.from_data(run.recorded, drawn)
     rng = np.random.default_rng([int(run.data.attrs["seed"]), 1])
     for number, (name, shape) in enumerate([*SHAPES.items()] * REPETITIONS):
         if number:
@@ -129,7 +129,7 @@ def _transitions(run: sato.Run) -> Iterator[tuple[str, FormationRecord]]:
 def judge_connectivity(run: sato.Run) -> dict[str, Any]:
     """Tell whether the robots stayed connected, and what led to a split or followed a loss."""
     mission = run.drawn_mission
-    record = ConnectivityRecord.from_dataset(run.data, mission)
+    record = ConnectivityRecord.from_data(run.recorded, mission)
     frames, cells = record.frames, {}
     below = frames.lambda2 <= mission.potential.lambda2_min
     if below.any():

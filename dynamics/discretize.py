@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import inf
+from math import inf, isfinite
 
 import numpy as np
 import scipy
@@ -14,6 +14,7 @@ from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSam
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 BLOCK_STEPS = 16  # that are integrated at once
+ON_GRID = 1e-10  # of a step, within which it begins at a multiple of its length
 SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
 SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
@@ -81,7 +82,8 @@ class DiscreteModel:
 
     def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
-        own, states = self.A.ndim > 3, [x]
+        own = self.A.ndim > 3
+        states = [np.broadcast_to(x, (*self.A.shape[:-3], x.shape[-1])) if own else x]
         for k in range(u.shape[-2]):
             A, B, z = self.A[..., k, :, :], self.B[..., k, :, :], self.z[..., k, :]
             if own:
@@ -118,13 +120,11 @@ def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -
         return _discretize_time_invariant(model, dt, count)
     if not _is_immutable(model):
         return _discretize_time_varying(model, dt, count, t0)
-    first = round(t0 / dt)
-    if count == 0 or abs(t0 / dt - first) > SAME_STEP:
+    if not count or not isfinite(t0 / dt) or abs(t0 / dt - round(t0 / dt)) > ON_GRID:
         return _discretize_cached(model, dt, count, t0)
+    first = round(t0 / dt)
     numbers = range(first // BLOCK_STEPS, (first + count - 1) // BLOCK_STEPS + 1)
-    blocks = [
-        _discretize_cached(model, dt, BLOCK_STEPS, number * BLOCK_STEPS * dt) for number in numbers
-    ]
+    blocks = [_discretize_block(model, dt, number) for number in numbers]
     A, B, z = (np.concatenate([getattr(block, name) for block in blocks]) for name in "ABz")
     begin = first - numbers[0] * BLOCK_STEPS
     return DiscreteModel(A, B, z, dt)[begin : begin + count]
@@ -236,7 +236,12 @@ def _is_immutable(model: LinearModel) -> bool:
     return True
 
 
-@lru_cache(maxsize=1024)  # planning asks for the same steps again and again
+@lru_cache(maxsize=4096)  # planning asks for the same steps again and again
+def _discretize_block(model: LinearModel, dt: float, number: int) -> DiscreteModel:
+    return _discretize_time_varying(model, dt, BLOCK_STEPS, number * BLOCK_STEPS * dt)
+
+
+@lru_cache(maxsize=64)
 def _discretize_cached(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
     steps = _discretize_time_varying(model, dt, count, t0)
     for part in (steps.A, steps.B, steps.z):

@@ -214,7 +214,7 @@ def are_paths_separated(
     middle, extent = enclosing_balls(paths)
     apart = np.linalg.norm(middle[i] - middle[j], axis=1)
     separated = np.ones(len(i), dtype=bool)
-    near = np.flatnonzero(apart <= extent[i] + extent[j] + radius)
+    near = np.flatnonzero(~(apart > extent[i] + extent[j] + radius))  # also what is not finite
     pair, piece = near_pieces(paths, i[near], j[near], radius[near])
     pair = near[pair]
     count = max(1, MAX_COORDINATES // paths[0, 0].size)
@@ -263,7 +263,7 @@ def near_pieces(
         for below, above in zip(low, high, strict=True):
             gap = np.maximum(below[i[some]] - above[j[some]], below[j[some]] - above[i[some]])
             square = square + np.square(np.maximum(gap, 0.0))
-        found.append(np.argwhere(square <= most[some, None]) + np.array([begin, 0]))
+        found.append(np.argwhere(~(square > most[some, None])) + np.array([begin, 0]))
     pair, box = np.concatenate(found or [np.zeros((0, 2), dtype=int)]).T
     piece = box[:, None] * BOX_PIECES + np.arange(BOX_PIECES)
     is_there = piece < pieces

@@ -46,6 +46,14 @@ class Run:
     summary: dict[str, Any]
     mission: Any | None = None  # not drawn; None where a file holds a model of the user's own
 
+    def __post_init__(self) -> None:
+        """Refuse a dataset in place of its arrays."""
+        if not isinstance(self.recorded, RunData):
+            got = type(self.recorded).__name__
+            raise InputError(
+                "recorded", f"must be RunData, got {got}; RunData.from_xarray would do"
+            )
+
     @cached_property
     def data(self) -> "xarray.Dataset":
         """Data of the run as an xarray dataset, in which no change changes the run."""

@@ -3,11 +3,13 @@
 import json
 import sqlite3
 from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import sato
 from sato.campaigns.definition import Campaign, read_campaign
 from sato.campaigns.table import TABLE_FILE, CampaignTable
 from sato.cli import app
@@ -24,6 +26,21 @@ def test_campaign_has_scenarios_keys_and_functions_that_exist(path, monkeypatch)
     assert f"sato campaign run campaigns/{path.name}" in path.read_text(encoding="utf-8")
     for row in range(0 if campaign.function else campaign.points):
         campaign.trial(row).build_mission()
+
+
+@pytest.mark.parametrize(
+    ("name", "scenario", "overrides"),
+    [
+        ("judge_connectivity", "connectivity", ["duration_s=0.5"]),
+        ("judge_formations", "formation6", ["limit_s=6"]),
+        ("judge_transitions", "formation6", ["limit_s=6"]),
+    ],
+)
+def test_functions_of_the_studies_judge_a_run(name, scenario, overrides, monkeypatch):
+    monkeypatch.syspath_prepend(FILES[0].parent)
+    studies = import_module("studies")
+    monkeypatch.setattr(studies, "REPETITIONS", 1)
+    assert getattr(studies, name)(sato.run(scenario, overrides=overrides))
 
 
 def test_cases_and_grid_are_all_combined_and_share_their_seeds():

@@ -128,6 +128,10 @@ def test_offers_keep_the_limit_begin_as_planned_and_end_at_rest(decisions):
         offers = make_offers(context, plans, committed)
         start = np.repeat(context.state[offers.agents][:, None], len(offers.plan_steps), axis=1)
         x = offers.horizon.discrete_model.simulate(start, offers.u[:, :])
+        paths, (middle, extent) = offers.horizon.control_points(x, offers.u[:, :]), offers.enclose()
+        np.testing.assert_allclose(offers.paths[:, :], paths, atol=1e-12)
+        away = np.linalg.norm(paths - middle[:, None, None, None], axis=-1).max(axis=(1, 2, 3))
+        assert (away <= extent + 1e-12).all()
         for a, i in enumerate(offers.agents.tolist()):
             limit = mission.control_limit(i)
             assert limit.measure(offers.u[a, :]).max() <= limit.most * (1 + ROUNDING)

@@ -213,6 +213,13 @@ def test_separation_includes_passages_between_instants(rng):
     assert found.pair == tuple(sorted((i, j)))
 
 
+def test_separation_includes_fast_passages_between_distant_instants():
+    x = np.array([[0.0, 0.5, 60], [0, 19, 60], [19, 0, np.nan], [19, 0, 60]])
+    position = np.stack([x, np.tile([0.0, 0.1, 0.0], (4, 1))], axis=2)
+    found = find_closest_approach(position, np.ones((4, 3), dtype=bool))
+    assert found == (pytest.approx(0.1), 1, (0, 1))
+
+
 def test_agents_without_a_next_position_count_where_they_are():
     position = np.array([[[0, 0], [0.1, 0]], [[5, 0], [np.nan, np.nan]]])
     found = find_closest_approach(position, np.ones((2, 2), dtype=bool))

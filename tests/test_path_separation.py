@@ -42,6 +42,17 @@ def test_boxes_leave_out_nearly_all_of_paths_that_meet_once(rng):
     assert 38 in piece and 41 in piece and len(piece) <= 2 * BOX_PIECES and set(pair) == {0}
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_paths_that_are_not_finite_are_not_separated(value):
+    paths = np.zeros((2, 3, 4, 2))
+    paths[1, ..., 0] = 5.0
+    one, other = np.array([0]), np.array([1])
+    assert are_paths_separated(paths, one, other, np.ones(1)).all()
+    paths[0, 1] = value
+    with np.errstate(invalid="ignore"):
+        assert not are_paths_separated(paths, one, other, np.ones(1)).any()
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_paths_have_no_pairs(count):
     none = np.zeros(0, dtype=int)

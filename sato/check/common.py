@@ -99,7 +99,8 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
     middle, half = way[:-1] + change / 2, np.linalg.norm(change, axis=2) / 2
     found = []
     # Two agents come closer than at the instant before by their two ways at most.
-    for k in np.flatnonzero(sampled - 4 * half.max(axis=1) <= bound * (1 + 1e-12)):
+    longest = 2 * np.where(np.isfinite(half), half, 0.0).max(axis=1)
+    for k in np.flatnonzero(sampled - 2 * longest <= bound * (1 + 1e-12)):
         # An agent stays in the ball about the middle of its way.
         agents = np.flatnonzero(alive[k] & np.isfinite(middle[k]).all(axis=1))
         pairs = agents[near_balls(middle[k, agents], bound / 2 + half[k, agents])]

@@ -36,7 +36,10 @@ class DesignedGains(Definition):
 def _design_once(method: GainMethod, points: bytes, graph: bytes, name: str) -> GainMatrix:
     positions = np.frombuffer(points).reshape(-1, 3)
     adjacency = np.frombuffer(graph, dtype=bool).reshape(len(positions), -1)
-    return design_gains(DesiredFormation(positions, adjacency, name), method)
+    gains = design_gains(DesiredFormation(positions, adjacency, name), method)
+    for part in (gains.xy, gains.z):
+        part.setflags(write=False)
+    return gains
 
 
 @dataclass(frozen=True, eq=False, repr=False)

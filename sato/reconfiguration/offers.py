@@ -153,15 +153,15 @@ def _fly(
     most, first = 1, -1
     while first < horizon.steps:
         some = np.flatnonzero((moving > first) & (moving <= most))
-        own = stopping_horizon(mission, min(most, horizon.steps))
         if len(some):
-            controls = u[some, : own.steps]
+            own = stopping_horizon(mission, most)
+            controls = add_steps(u[some, :most], most)
             x = own.discrete_model.simulate(start[some], controls)
             part = own.control_points(x, controls)
             is_near[some] = stays_within_reach(mission, own, x[..., : mission.axes], part)
             low[some], high[some] = bounding_boxes(part)
             part_of[some], place[some] = len(parts), np.arange(len(some))
-            parts.append(part)
+            parts.append(part[:, : len(horizon.fine_model)])
         first, most = most, 2 * most
     pieces = len(horizon.fine_model)
     return PathsByChoice(pieces, tuple(parts), part_of, place, index), is_near, (low, high)

@@ -145,9 +145,12 @@ def add_steps(u: Float[Array, "each _ m"], steps: int) -> Float[Array, "each T m
     return np.pad(u, ((0, 0), (0, steps - u.shape[1]), (0, 0)))
 
 
-def pad_controls(each: Sequence[Float[Array, "_ m"]], steps: int = 0) -> Float[Array, "each T m"]:
+def pad_controls(
+    each: Sequence[Float[Array, "_ m"]], steps: int | None = None
+) -> Float[Array, "each T m"]:
     """Stack controls, with zeros up to so many steps, or up to those of the longest."""
-    steps = steps or max(map(len, each), default=0)
+    if steps is None:
+        steps = max(map(len, each), default=0)
     u = np.zeros((len(each), steps, each[0].shape[1]))
     for own, filled in zip(each, u, strict=True):
         filled[: len(own)] = own
