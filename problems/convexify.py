@@ -84,11 +84,8 @@ class AvoidanceHorizon:
             after = A[:, s] @ x, A[:, s] @ u + B[:, s], A[:, s] @ z + c[:, s]
             for i in range(4):
                 x_i, u_i, z_i = (x, u, z) if i < 2 else after
-                P[:, s, i], Q[:, s, i], r[:, s, i] = (
-                    pick[i] @ x_i,
-                    pick[i] @ u_i,
-                    (pick[i] @ z_i)[..., 0],
-                )
+                P[:, s, i], Q[:, s, i] = pick[i] @ x_i, pick[i] @ u_i
+                r[:, s, i] = (pick[i] @ z_i)[..., 0]
             x, u, z = after
         if self.scale is None:
             return P, Q, r
@@ -244,10 +241,8 @@ def near_pieces(
     Returns:
         Number of the pair, and the piece, of all that are left.
     """
-    (pieces, corners, d), (compared, place) = (
-        paths.shape[1:],
-        np.unique([i, j], return_inverse=True),
-    )
+    pieces, corners, d = paths.shape[1:]
+    compared, place = np.unique([i, j], return_inverse=True)
     i, j = place.reshape(2, -1)
     first = np.arange(0, pieces, BOX_PIECES)
     low, high = np.empty((2, d, len(compared), len(first)))
