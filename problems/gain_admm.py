@@ -9,7 +9,7 @@ from problems.hermitian_eigenvalues import eigh
 
 RATE_TOLERANCE = 5e-4  # between the rate and its bound, relative
 MAX_ITERATIONS = 3000
-CHECK_INTERVAL = 5  # iterations between two computations of rate and bound
+MAX_CHECK_INTERVAL = 5  # iterations between two computations of rate and bound
 OVER_RELAXATION = 1.7  # of a step; less than 2
 ANDERSON_MEMORY = 20  # steps that the extrapolation uses …
 MAX_STORED_NUMBERS = 4_000_000  # … or fewer, to store no more numbers than these
@@ -54,18 +54,29 @@ def solve(
     L, Y = problem.project(ideal)
     best = BestSolution(problem, GainSolution(L, Y))
     strength = float(np.sqrt(problem.m) * np.linalg.norm(L - ideal))
-    if strength <= 1e-12 * problem.m:
+    if strength <= 1e-12 * problem.m or best.is_within(tolerance):
         return best.solution
-    W, acceleration = L, _AndersonAcceleration(L)
-    for k in range(1, max_iterations + 1):
-        if k % CHECK_INTERVAL == 1 and best.is_within(tolerance):
-            break
+    W, acceleration, interval, unchecked = L, _AndersonAcceleration(L), MAX_CHECK_INTERVAL, 0
+    for _ in range(max_iterations):
         X = _prox_least_eigenvalue(problem, W, strength)
         L, Y = problem.project(2 * X - W)
-        if k % CHECK_INTERVAL == 0:
+        unchecked += 1
+        if unchecked == interval:
+            gap, unchecked = best.gap, 0
             best.update(GainSolution(L, Y))
+            if best.is_within(tolerance):
+                break
+            interval = _iterations_left(tolerance, best.gap, gap, interval)
         W = acceleration.next_iterate(W, L - X)
     return best.solution
+
+
+def _iterations_left(tolerance: float, gap: float, gap_before: float, interval: int) -> int:
+    # Until the next check, as if the gap closed geometrically.
+    if not 0 < tolerance < gap < gap_before:
+        return MAX_CHECK_INTERVAL
+    left = interval * np.log(gap / tolerance) / np.log1p((gap_before - gap) / gap)
+    return int(min(left, MAX_CHECK_INTERVAL - 1)) + 1
 
 
 class BestSolution:
@@ -83,9 +94,14 @@ class BestSolution:
         if bound < self.bound:
             self.bound, self.solution = bound, self.solution._replace(Y=solution.Y)
 
+    @property
+    def gap(self) -> float:
+        """Gap between rate and bound, relative to the bound."""
+        return (self.bound - self.rate) / abs(self.bound)
+
     def is_within(self, tolerance: float) -> bool:
         """Return True where rate and bound agree, or the bound excludes stable gains."""
-        return self.bound <= MIN_RATE or self.bound - self.rate <= tolerance * self.bound
+        return self.bound <= MIN_RATE or self.gap <= tolerance
 
 
 class _AndersonAcceleration:
