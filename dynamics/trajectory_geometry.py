@@ -25,6 +25,8 @@ from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
 
 MAX_PAIRS = 50_000  # of agents in pieces, that are compared at once
+FEW_AGENTS = 16  # up to which all instants are compared at once
+FEW_POINTS = 200  # up to which all pairs are measured sooner than a tree is built
 
 Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
 Samples = Float[Array, "*agents instants d"]  # positions or velocities at the instants
@@ -168,20 +170,31 @@ def sampled_separations(
 ) -> Float[Array, " instants"]:
     """Return the minimum distance of two live agents per instant, infinite for fewer than two."""
     present = alive & np.isfinite(position).all(axis=2)
-    return np.array([min_distance(p[a]) for p, a in zip(position, present, strict=True)])
+    if position.shape[1] > FEW_AGENTS:
+        return np.array([min_distance(p[a]) for p, a in zip(position, present, strict=True)])
+    points, least = np.where(present[..., None], position, np.nan), np.full(len(position), np.inf)
+    for i in range(position.shape[1] - 1):
+        far = np.linalg.norm(points[:, i + 1 :] - points[:, i, None], axis=2)
+        least = np.fmin(least, np.fmin.reduce(far, axis=1))
+    return least
 
 
 def min_distance(points: Float[Array, "k d"]) -> float:
     """Return the minimum distance of any two points, infinite for fewer than two."""
     if len(points) < 2:
         return np.inf
+    if len(points) <= FEW_POINTS:
+        return float(scipy.spatial.distance.pdist(points).min())
     return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def near_balls(middle: Float[Array, "k d"], radius: Float[Array, " k"]) -> Int[Array, "pairs 2"]:
     """List the pairs of balls that overlap, or touch but for rounding."""
     largest = 2 * radius.max(initial=0.0) * (1 + 1e-12)
-    i, j = scipy.spatial.cKDTree(middle).query_pairs(largest, output_type="ndarray").T
+    if len(middle) <= FEW_AGENTS:  # all pairs, sooner than a tree is built
+        i, j = np.triu_indices(len(middle), 1)
+    else:
+        i, j = scipy.spatial.cKDTree(middle).query_pairs(largest, output_type="ndarray").T
     between = np.linalg.norm(middle[i] - middle[j], axis=1) * (1 - 1e-12)
     near = between <= radius[i] + radius[j]
     return np.stack([i[near], j[near]], axis=1)

@@ -23,6 +23,11 @@ class VehicleState(NamedTuple):
         return cls(position, yaw, still, zero, still.copy())
 
 
+def vector_lengths(vectors: Float[Array, "*k d"]) -> Float[Array, "*k"]:
+    """Compute lengths along the last axis; of short vectors NumPy's norm takes thrice as long."""
+    return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
+
+
 def rotate_by_yaw(
     vectors: Float[Array, "*#k 3"], yaw: Float[Array, "*#k"] | float
 ) -> Float[Array, "*#k 3"]:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key, Length
-from dynamics.vehicle import rotate_by_yaw
+from dynamics.vehicle import rotate_by_yaw, vector_lengths
 
 MULTIPLICITY_TOLERANCE = 1e-7  # eigenvalues within this distance count as one
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def edge_weights(
     axis = np.array(camera.optical_axis)
     is_near = (camera.d_min < d) & (d < camera.d_max)
     both = np.stack([own, other])
-    cosine = (both * axis).sum(axis=-1)
+    cosine = np.vecdot(both, axis)
     # An end out of view counts as seen at a_min, where its weight and its slope are 0.
     seen = np.where([is_near & sees, is_near & is_seen], cosine, camera.a_min)
     (f, g), (f_slope, g_slope) = cosine_ramp_and_slope(seen, camera.a_min, camera.a_max)
@@ -154,15 +154,14 @@ def bearings(
 ) -> tuple[Float[Array, "*k n n"], Float[Array, "*k n n 3"]]:
     """Compute the distance of agents i and j [m], and β_ij in the body frame of i."""
     gap = position[..., None, :, :] - position[..., None, :]
-    distance = np.linalg.norm(gap, axis=-1)
+    distance = vector_lengths(gap)
     scale = 1 / np.where(distance > 0, distance, np.inf)
     return distance, rotate_by_yaw(gap, -yaw[..., None]) * scale[..., None]
 
 
 def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
     """Build the Laplacian L = diag(Σ_j A_ij) − A."""
-    n = weight.shape[-1]
-    return np.asarray(weight.sum(axis=-1)[..., None] * np.eye(n) - weight)
+    return _laplacian(weight, weight.sum(axis=-1))
 
 
 def algebraic_connectivity(
@@ -205,9 +204,17 @@ def _pad_laplacian(
     weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
 ) -> Float[Array, "*k n n"]:
     # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
-    n = weight.shape[-1]
-    L = laplacian(np.where(members[..., None] & members[..., None, :], weight, 0.0))
-    return np.asarray(L + 2 * n * (~members)[..., None] * np.eye(n))
+    among = np.where(members[..., None] & members[..., None, :], weight, 0.0)
+    return _laplacian(among, np.where(members, among.sum(axis=-1), 2.0 * weight.shape[-1]))
+
+
+def _laplacian(
+    weight: Float[Array, "*k n n"], degree: Float[Array, "*k n"]
+) -> Float[Array, "*k n n"]:
+    L = -weight
+    diagonal = np.einsum("...ii->...i", L)  # a view
+    diagonal += degree
+    return L
 
 
 def _select_eigenvalues(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import inf, isfinite
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from rich.box import HEAVY_HEAD, MARKDOWN
@@ -18,6 +19,7 @@ from sato.interfaces import Frame, FrameT, MissionProgress, MissionT
 from sato.summary import format_label, format_value, is_parts, summary_rows
 
 MAX_TABLE = 500  # rows of a table with rules, which takes 1 ms a row
+UPDATE_INTERVAL = 0.1  # between two updates of a bar, as many as its terminal shows [s]
 PIPE_WIDTH = 10_000  # a file or a pipe has no width to which tables must be fitted
 
 
@@ -37,23 +39,26 @@ def show_mission_progress(
     has_bar = sys.stderr.isatty() or console.is_jupyter
     text = "{task.fields[stage]}, step {task.completed} of {task.total}, {task.fields[details]}"
     columns = (BarColumn(), TextColumn(text), TimeElapsedColumn())
-    shown, least = "", inf
+    shown, shown_at, least, unseen = "", -inf, inf, list[FrameT]()
     with Progress(*columns, console=console, disable=not has_bar) as bar:
         task = bar.add_task("", total=None, visible=False, stage="", details="")
 
         def show(mission: MissionT, frame: FrameT) -> None:
-            nonlocal shown, least
+            nonlocal shown, shown_at, least
+            unseen.append(frame)
             stage, done, total, details = progress_of(mission, frame)
-            least = min(
-                least, float(sampled_separations(frame.position[None], frame.alive[None])[0])
-            )
+            is_due = has_bar and (done == total or monotonic() >= shown_at + UPDATE_INTERVAL)
+            if stage == shown and not is_due:
+                return
+            least = min(least, *map(_least_separation, unseen))
+            unseen.clear()
             details = _describe(frame, least, details)
             if has_bar:
                 fields: dict[str, Any] = {"stage": stage, "details": details}
                 bar.update(task, completed=done, total=total, visible=True, **fields)
-            elif stage != shown:
+            else:
                 print(f"{stage} at {frame.time:g} s: {details}", file=sys.stderr)
-            shown = stage
+            shown, shown_at = stage, monotonic()
 
         yield show
 
@@ -115,6 +120,10 @@ def print_report(report: Report) -> None:
         reason = "skipped: it needs the mission, sato.load(path, mission=…)"
         table.add_row(name, "?", "", "", reason)
     Console().print(table)
+
+
+def _least_separation(frame: Frame) -> float:
+    return float(sampled_separations(frame.position[None], frame.alive[None])[0])
 
 
 def _describe(frame: Frame, least: float, details: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.vehicle import rotate_by_yaw
+from dynamics.vehicle import rotate_by_yaw, vector_lengths
 from problems.interaction_graph import Numbers, algebraic_connectivity, edge_weights
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.power_iteration import iterate_power, lambda2_from_power
@@ -30,18 +30,21 @@ def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> Agen
     """
     measurements, inbox, estimates = known
     psi, observer = estimate_relative_yaw(known, mission, time)
-    sees, p = measurements.visibility, measurements.relative_position
-    is_seen, p_back = inbox.is_seen, inbox.relative_position
+    is_mutual = measurements.visibility & inbox.is_seen
+    i, j = np.nonzero(measurements.visibility | inbox.is_seen)
+    sees, is_seen = measurements.visibility[i, j], inbox.is_seen[i, j]
+    p, p_back = measurements.relative_position[i, j], inbox.relative_position[i, j]
     # An agent that does not see rotates the other's measurement [Bernard2023, Sec. III-C,
     # where the rotation is printed in the wrong sense].
-    p = np.where(sees[..., None], p, -rotate_by_yaw(p_back, psi))
-    p_back = np.where(is_seen[..., None], p_back, -rotate_by_yaw(p, -psi))
+    turn = psi[i, j]
+    p = np.where(sees[:, None], p, -rotate_by_yaw(p_back, turn))
+    p_back = np.where(is_seen[:, None], p_back, -rotate_by_yaw(p, -turn))
     both = np.stack([p, p_back])
-    d = np.linalg.norm(both, axis=-1)
+    d = vector_lengths(both)
     own, other = both / d[..., None]
-    edges = edge_weights(d[0], own, other, psi, mission.assumed_camera, sees, is_seen)
-    has_edge = sees | is_seen
-    weight = np.where(has_edge, edges.weights, 0.0)
+    edges = edge_weights(d[0], own, other, turn, mission.assumed_camera, sees, is_seen)
+    weight, gradient = np.zeros_like(psi), np.zeros((*psi.shape, 4))
+    weight[i, j], gradient[i, j] = edges.weights, edges.gradients
     adjacency = estimates.adjacency
     if mission.estimator == "flood":
         row, adjacency = np.arange(len(psi)), AdjacencyRows(*(part.copy() for part in adjacency))
@@ -49,9 +52,9 @@ def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> Agen
     return estimates._replace(
         velocity_observer=observer,
         relative_yaw=psi,
-        is_mutual=sees & is_seen,
+        is_mutual=is_mutual,
         weight=weight,
-        weight_gradient=np.where(has_edge[..., None], edges.gradients, 0.0),
+        weight_gradient=gradient,
         adjacency=adjacency,
     )
 
@@ -129,10 +132,11 @@ def compute_commands(known: Knowledge, mission: Connectivity) -> Float[Array, "n
     estimates, points, limits = known.estimates, known.measurements.range_points, mission.limits
     slope = negative_slope(estimates.lambda2, mission.potential)
     by_weight = slope[:, None] * estimates.lambda2_gradient
-    command = (by_weight[..., None] * estimates.weight_gradient).sum(axis=1)
-    gain = repulsion_gain(np.linalg.norm(points, axis=2), mission.repulsion)
-    velocity = command[:, :3] - np.nansum(gain[..., None] * points, axis=1)
-    speed = np.linalg.norm(velocity, axis=1)
+    command = np.einsum("ij,ijk->ik", by_weight, estimates.weight_gradient)
+    gain = repulsion_gain(vector_lengths(points), mission.repulsion)
+    apart = np.where(np.isnan(points), 0.0, points)
+    velocity = command[:, :3] - np.einsum("ij,ijk->ik", gain, apart)
+    speed = vector_lengths(velocity)
     velocity *= (limits.speed / np.maximum(speed, limits.speed))[:, None]
     yaw_rate = np.clip(command[:, 3:], -limits.yaw_rate, limits.yaw_rate)
     return np.concatenate([velocity, yaw_rate], axis=1)

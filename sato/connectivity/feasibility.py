@@ -4,7 +4,6 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.distance import pdist, squareform
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Obstacles, Plane, obstacle_distances
@@ -140,7 +139,8 @@ def check_start(mission: "Connectivity") -> None:
         raise InputError("swarm.start.yaw_rad", f"needs {agents} angles, got {given}")
     nearest = mission.repulsion.min_distance
     cure = f"and repulsion is infinite at repulsion.nearest_m = {nearest:g}; move one of them"
-    gap = squareform(pdist(positions)) + np.diag(np.full(agents, np.inf))
+    gap = np.linalg.norm(positions[:, None] - positions, axis=2)
+    gap += np.diag(np.full(agents, np.inf))
     if gap.min() <= nearest:
         i, j = np.argwhere(gap == gap.min())[0]
         text = f"robots {i} and {j} start {gap.min():.4g} m apart, {cure}"

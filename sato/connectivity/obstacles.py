@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.units import Unit
+from dynamics.vehicle import vector_lengths
 from sato.obstacles import Box, Sphere
 from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError
@@ -135,14 +136,14 @@ def obstacle_distances(
 def _sphere_distances(
     p: Float[Array, "*k 3"], spheres: Float[Array, "spheres 4"]
 ) -> Float[Array, "*k spheres"]:
-    return np.asarray(np.linalg.norm(p[..., None, :] - spheres[:, :3], axis=-1) - spheres[:, 3])
+    return np.asarray(vector_lengths(p[..., None, :] - spheres[:, :3]) - spheres[:, 3])
 
 
 def _box_distances(
     p: Float[Array, "*k 3"], boxes: Float[Array, "boxes 6"]
 ) -> Float[Array, "*k boxes"]:
     beyond = np.maximum(boxes[:, :3] - p[..., None, :], p[..., None, :] - boxes[:, 3:])
-    outside = np.linalg.norm(np.maximum(beyond, 0), axis=-1)
+    outside = vector_lengths(np.maximum(beyond, 0))
     return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0))
 
 
@@ -163,8 +164,9 @@ def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array
 
 def _nearest_of_spheres(at: Points, spheres: Float[Array, "spheres 4"]) -> Points:
     centers, radius = np.split(spheres, [3], axis=1)
-    far = np.linalg.norm(at - centers, axis=-1, keepdims=True)
-    outwards = np.where(far > 0, at - centers, np.eye(3)[0]) / np.where(far > 0, far, 1)
+    gap = at - centers
+    far = vector_lengths(gap)[..., None]
+    outwards = np.where(far > 0, gap, np.eye(3)[0]) / np.where(far > 0, far, 1)
     return np.asarray(centers + radius * outwards)
 
 

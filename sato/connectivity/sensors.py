@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.quadrotor import Quadrotor, rotate_to_heading_frame
-from dynamics.vehicle import VehicleState, rotate_by_yaw
+from dynamics.vehicle import VehicleState, rotate_by_yaw, vector_lengths
 from problems.interaction_graph import bearings, cosine_ramp, range_weight
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.obstacles import (
@@ -47,7 +47,7 @@ def compute_views(
     is_clear &= alive[..., None] & alive[..., None, :]
     if mission.occlusion:
         is_clear &= ~_is_occluded(position, alive, mission)
-    cosine = np.where(is_clear, (axis * bearing).sum(axis=-1), -np.inf)
+    cosine = np.where(is_clear, np.vecdot(axis, bearing), -np.inf)
     f = cosine_ramp(cosine, camera.a_min, camera.a_max)
     g = f.swapaxes(-1, -2)
     weight = range_weight(distance, camera) * (f + g - f * g)
@@ -92,8 +92,8 @@ def _measure_ranges(
     # Nearest points of agents and obstacles in range, without telling which is which.
     position, n, obstacles = vehicles.position, len(alive), mission.obstacle_arrays
     others = np.broadcast_to(position, (n, n, 3))
-    away = np.linalg.norm(others - position[:, None], axis=2)
-    away = np.where(alive & ~np.eye(n, dtype=bool), away, np.inf)
+    away = np.where(alive, vector_lengths(others - position[:, None]), np.inf)
+    np.fill_diagonal(away, np.inf)
     points = np.concatenate([others, nearest_points(position, obstacles)], axis=1)
     distance = np.concatenate([away, obstacle_distances(position, obstacles)], axis=1)
     is_near = (distance < mission.repulsion.max_distance) & alive[:, None]

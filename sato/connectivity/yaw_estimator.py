@@ -8,14 +8,14 @@ with the velocity that the other sends.
 from math import exp, pi
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.vehicle import rotate_by_yaw
+from dynamics.vehicle import rotate_by_yaw, vector_lengths
 from problems.interaction_graph import Camera, Numbers, cosine_ramp
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.settings import YawTracking
-from sato.connectivity.state import Inbox, Knowledge
+from sato.connectivity.state import Knowledge
 
 Vectors = Float[Array, "... 3"]
 
@@ -32,41 +32,43 @@ def estimate_relative_yaw(
     """
     measurements, inbox, estimates = known
     tracking, camera, dt = mission.tracking, mission.assumed_camera, mission.step
-    p, p_back, psi = measurements.relative_position, inbox.relative_position, estimates.relative_yaw
-    sees, is_seen, has_message = measurements.visibility, inbox.is_seen, np.isfinite(inbox.time)
-    own_rate = measurements.yaw_rate[:, None]
-    rate = inbox.twist[..., 3] - own_rate
-    age = np.where(has_message, time - inbox.time, 0.0)
+    i, j = np.nonzero(measurements.visibility | inbox.is_seen)
+    p, p_back = measurements.relative_position[i, j], inbox.relative_position[i, j]
+    twist, psi, own_rate = inbox.twist[i, j], estimates.relative_yaw[i, j], measurements.yaw_rate[i]
+    sees, is_seen = measurements.visibility[i, j], inbox.is_seen[i, j]
+    has_message = np.isfinite(inbox.time[i, j])
+    rate = twist[:, 3] - own_rate
+    age = np.where(has_message, time - inbox.time[i, j], 0.0)
     # ψ̃_ij by the estimate of j, a step older than its message, and the turns of both since.
-    told = np.diagonal(inbox.relative_yaw, axis1=0, axis2=2).T
-    from_message = wrap_angle((age + dt) * rate - told)
+    from_message = wrap_angle((age + dt) * rate - inbox.relative_yaw[i, j, i])
+    before = estimates.velocity_observer[i, j]
     observer = update_velocity_observer(
-        p, measurements.previous_relative_position, measurements.velocity[:, None], own_rate,
-        inbox.twist, estimates.velocity_observer, tracking, dt,
+        p, measurements.previous_relative_position[i, j], measurements.velocity[i], own_rate,
+        twist, before, tracking, dt,
     )  # fmt: skip
-    observer = np.where((sees & has_message)[..., None], observer, estimates.velocity_observer)
-    from_motion, trust = yaw_from_motion(observer, inbox.twist, tracking)
+    observer = np.where((sees & has_message)[:, None], observer, before)
+    from_motion, trust = yaw_from_motion(observer, twist, tracking)
     mutual = np.where(is_seen, _view_weight(np.stack([p, p_back]), camera).prod(axis=0), 0.0)
     # Both bearings are of the time of the message, which corrects once: when it arrives.
-    has_both = is_seen & inbox.is_new & ~np.isnan(inbox.own_relative_position[..., 0])
-    from_bearings = yaw_from_bearings(inbox.own_relative_position, p_back) + age * rate
-    from_bearings = np.where(has_both, from_bearings, psi)
+    own_p = inbox.own_relative_position[i, j]
+    has_both = is_seen & inbox.is_new[i, j] & ~np.isnan(own_p[:, 0])
+    from_bearings = np.where(has_both, yaw_from_bearings(own_p, p_back) + age * rate, psi)
     found = update_yaw_estimate(psi, rate, mutual, from_bearings, from_motion, trust, tracking, dt)
     found = np.where(has_both, circular_mean(found, from_message), found)
     found = np.where(sees & has_message, found, np.where(is_seen, from_message, psi))
+    all_psi, observers = estimates.relative_yaw.copy(), estimates.velocity_observer.copy()
+    all_psi[i, j], observers[i, j] = found, observer
     if tracking.closure_gain > 0 and not tracking.as_printed:
-        found = _close_triangles(found, sees, sees & is_seen, inbox, dt * tracking.closure_gain)
-    return found, observer
+        all_psi = _close_triangles(all_psi, known, dt * tracking.closure_gain)
+    return all_psi, observers
 
 
 def _close_triangles(
-    psi: Float[Array, "n n"],
-    sees: Bool[Array, "n n"],
-    is_mutual: Bool[Array, "n n"],
-    inbox: Inbox,
-    gain: float,
+    psi: Float[Array, "n n"], known: Knowledge, gain: float
 ) -> Float[Array, "n n"]:
     # Where only i sees j, a third agent k in mutual view of both knows the angle better.
+    sees, inbox = known.measurements.visibility, known.inbox
+    is_mutual = sees & inbox.is_seen
     i, k = np.nonzero(is_mutual)
     which, j = np.nonzero(inbox.is_mutual[i, k] & (sees & ~is_mutual)[i])
     i, k = i[which], k[which]
@@ -77,7 +79,7 @@ def _close_triangles(
 
 
 def _view_weight(p: Vectors, camera: Camera) -> Numbers:
-    cosine = (p * np.array(camera.optical_axis)).sum(axis=-1) / np.linalg.norm(p, axis=-1)
+    cosine = np.vecdot(p, np.array(camera.optical_axis)) / vector_lengths(p)
     return cosine_ramp(cosine, camera.a_min, camera.a_max)
 
 
@@ -135,9 +137,9 @@ def yaw_from_motion(
     observed = observer[..., :2]
     received = twist[..., :2] if tracking.as_printed else observer[..., 3:5]
     if tracking.as_printed:
-        speed = np.linalg.norm(twist[..., :3], axis=-1)
+        speed = vector_lengths(twist[..., :3])
     else:
-        slower = np.linalg.norm(np.stack([observed, received]), axis=-1).min(axis=0)
+        slower = np.minimum(vector_lengths(observed), vector_lengths(received))
         speed = np.where(observer[..., 6] >= 3 / tracking.k1, slower, 0.0)
     trust = cosine_ramp(speed, tracking.min_speed, tracking.max_speed)
     return wrap_angle(_direction(observed) - _direction(received)), trust

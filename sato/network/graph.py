@@ -7,7 +7,6 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.spatial import cKDTree
 
 ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 
@@ -52,7 +51,7 @@ class CommunicationGraph:
             raise ValueError(f"the communication radius must be positive, got {radius} m")
         adjacency = np.zeros((len(alive), len(alive)), dtype=bool)
         live = np.flatnonzero(alive & np.isfinite(position).all(axis=1))
-        tree = cKDTree(position[live])
+        tree = scipy.spatial.cKDTree(position[live])
         i, j = live[tree.query_pairs(radius * (1 + ROUNDING), output_type="ndarray")].T
         in_range = ((position[i] - position[j]) ** 2).sum(axis=1) <= radius**2
         i, j = i[in_range], j[in_range]
