@@ -17,6 +17,7 @@ from problems.alignment import compute_shape_error
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMatrix, design_gains
 from sato.formation.control_law import FormationData, compute_velocity_commands
+from sato.formation.sensing import NeighborLocations, as_complex
 from sato.formation.settings import ControlLaw
 from sato.shapes.formation_library import random_sparse_graph
 from sato.shapes.random_points import sample_formation
@@ -48,8 +49,9 @@ def commands(
     """Compute the velocity command of every agent [m/s]."""
     formation, me = FormationData.from_gains(gains), np.arange(len(position))
     relative = position[formation.neighbors] - position[:, None]
-    is_known = formation.neighbors >= 0
-    return compute_velocity_commands(me, relative, is_known, formation, law, legacy)
+    flat, rise, is_known = as_complex(relative), relative[..., 2], formation.neighbors >= 0
+    seen = NeighborLocations(flat, rise, is_known)
+    return compute_velocity_commands(me, seen, formation, law, legacy)
 
 
 def draw_case(rng: np.random.Generator) -> tuple[GainMatrix, Float[Array, "n 3"]]:

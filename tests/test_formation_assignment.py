@@ -54,8 +54,9 @@ def informed(mission, roles):
     state.measured_position[:] = np.column_stack([flat.real, flat.imag, offset[:, 2]])
     graph = mission.gains[0].formation.graph
     for i, point in enumerate(roles.assignment):
-        for j in roles.holder[i, graph[point]]:
-            state.received[i, j] = state.measured_position[j]
+        j = roles.holder[i, graph[point]]
+        state.received_flat[i, j] = flat[j]
+        state.received_height[i, j] = offset[j, 2]
     return state
 
 
@@ -95,7 +96,7 @@ def test_agents_not_heard_are_left_out_of_the_alignment():
     graph = formation.graph
     i, j = np.argwhere(graph & (graph.sum(axis=1) > 3)[:, None])[0]
     state = informed(flight, roles)
-    state.received[i, j] = np.nan
+    state.received_flat[i, j] = state.received_height[i, j] = np.nan
     less = graph.copy()
     less[i, j] = False
     seen = observe_neighbors(state, roles, flight.coordinate_frames, graph)

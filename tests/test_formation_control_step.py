@@ -173,12 +173,12 @@ def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
     for number, state in enumerate(simulate(delayed, crowded(1), 40)):
         if number % every == 0:
             sent.append(state.measured_position)
-        assert np.isnan(state.received[~graph]).all()
+        assert np.isnan(state.heard(*np.nonzero(~graph))).all()
         if len(sent) <= delay:
-            assert np.isnan(state.received).all()
+            assert np.isnan(state.received_flat).all() and np.isnan(state.received_height).all()
         else:
-            for i, j in np.argwhere(graph):
-                assert np.array_equal(state.received[i, j], sent[-1 - delay][j])
+            i, j = np.nonzero(graph)
+            assert np.array_equal(state.heard(i, j), sent[-1 - delay][j])
 
 
 def test_lost_message_leaves_the_last_one_received():
@@ -189,7 +189,7 @@ def test_lost_message_leaves_the_last_one_received():
         sent.append(state.measured_position)
         if len(sent) >= 12:  # no two of them are equal
             latest = np.array(sent[:-13:-1])[:, j]
-            same = (latest == state.received[i, j]).all(axis=-1)
+            same = (latest == state.heard(i, j)).all(axis=-1)
             ages.append(same.argmax(axis=0)[same.any(axis=0)])
     share = np.bincount(np.concatenate(ages)) / (len(ages) * len(i))
     assert share[:4] == pytest.approx(0.7 * 0.3 ** np.arange(4), abs=0.01)

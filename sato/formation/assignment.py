@@ -49,7 +49,7 @@ def observe_neighbors(
         graph: Graph of the formation.
     """
     agents = np.arange(len(state.position))
-    heard = state.received[agents[:, None], roles.holder]
+    heard = state.heard(agents[:, None], roles.holder)
     own = frames.rotation[:, None].conj()
     shift = frames.origin[roles.holder] - frames.origin[:, None]
     positions = _rotate(heard, own * frames.rotation[roles.holder]) + _rotate(shift, own)

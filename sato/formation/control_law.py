@@ -9,11 +9,11 @@ with rotations about the vertical, so the result does not depend on the frame
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Complex, Float, Int
 from numpy import ndarray as Array
 
 from problems.gain_matrix import GainMatrix
-from sato.formation.sensing import as_complex
+from sato.formation.sensing import NeighborLocations
 from sato.formation.settings import ControlLaw
 
 # Size control of [Lusk2020]'s code, in the plane and vertical: K1 [1/s], K2 [1/m], and the
@@ -48,13 +48,12 @@ class FormationData(NamedTuple):
 
 def compute_velocity_commands(
     me: Int[Array, " k"],
-    relative: Float[Array, "k most 3"],
-    is_known: Bool[Array, "k most"],
+    seen: NeighborLocations,
     formation: FormationData,
     law: ControlLaw,
     legacy: bool,
 ) -> Float[Array, "k 3"]:
-    """Compute the velocity commands of agents, each in the frame of its relative positions [m/s].
+    """Compute the velocity commands of agents, each in its own frame [m/s].
 
     In the plane it is Σ_j (A_ij + f_ij) q_ij with the size control f_ij. The vertical part is
     alike where the mirror image will do, with a size control of |q_ij|; upright, it is
@@ -64,15 +63,14 @@ def compute_velocity_commands(
 
     Args:
         me: Index of the point that each agent holds.
-        relative: Position of the holder of each neighboring point, relative to the agent [m].
-        is_known: True where there is such a neighbor, and it was heard.
+        seen: Holder of each neighboring point, relative to the agent.
         formation: Formation with its gains.
         law: Numbers of the law.
         legacy: True for the size control of the paper's code.
     """
     _, gains_xy, gains_z, far, p_z, weight = (part[me] for part in formation)
-    q = np.where(is_known, as_complex(relative), 0.0)
-    q_z = np.where(is_known, relative[..., 2], 0.0)
+    is_known = seen.is_known
+    q, q_z = np.where(is_known, seen.flat, 0.0), np.where(is_known, seen.rise, 0.0)
     near = np.abs(q)
     if legacy:
         f = _legacy_size_gain(near - far, LEGACY_GAIN_XY, LEGACY_SLOPE_XY, LEGACY_DEADBAND_XY)

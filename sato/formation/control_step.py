@@ -15,6 +15,7 @@ from sato.formation.control_law import FormationData, compute_velocity_commands
 from sato.formation.mission import Formation
 from sato.formation.sectors import turn_out_of_sectors
 from sato.formation.sensing import (
+    NeighborLocations,
     Neighbors,
     as_complex,
     as_pairs,
@@ -98,7 +99,8 @@ class FormationState(NamedTuple):
     drift: Float[Array, "agents 3"]  # odometry error, in the own frame [m]
     measured_position: Float[Array, "agents 3"]  # in the own frame [m]
     sent: Float[Array, "ring agents 3"]  # last positions sent, each in the sender's frame [m]
-    received: Float[Array, "agents agents 3"]  # [i, j]: last of j's to reach i; NaN none [m]
+    received_flat: Complex[Array, "agents agents"]  # [i, j]: last of j's to reach i; NaN none [m]
+    received_height: Float[Array, "agents agents"]  # of the same [m]
     velocity_command: Float[Array, "agents 3"]  # of the control law, in the own frame [m/s]
     tracks: Float[Array, "agents agents 4"]  # [i, j]: j as i tracks it; NaN out of range [m, m/s]
     avoiding: Bool[Array, " agents"]
@@ -117,7 +119,8 @@ class FormationState(NamedTuple):
             drift=drift,
             measured_position=measured,
             sent=np.full((message_delay + 1, n, 3), np.nan),
-            received=np.full((n, n, 3), np.nan),
+            received_flat=np.full((n, n), complex(np.nan, np.nan)),
+            received_height=np.full((n, n), np.nan),
             velocity_command=command,
             tracks=np.full((n, n, 4), np.nan),
             avoiding=np.zeros(n, dtype=bool),
@@ -125,6 +128,11 @@ class FormationState(NamedTuple):
             wander_direction=np.ones(n, dtype=complex),
             wander_count=np.zeros(n, dtype=np.int64),
         )
+
+    def heard(self, i: Int[Array, "*#k"], j: Int[Array, "*#k"]) -> Float[Array, "*#k 3"]:
+        """Return the last positions of agents j that reached agents i; NaN where none did [m]."""
+        flat = self.received_flat[i, j]
+        return np.stack([flat.real, flat.imag, self.received_height[i, j]], axis=-1)
 
     def begin_way(self, agents: Int[Array, " k"]) -> None:
         """Let agents forget that others have blocked them, as they hold other points now."""
@@ -170,10 +178,9 @@ def _command(
     u, active = state.velocity_command, roles.is_active
     u[:] = 0.0
     if active.any():
-        relative, is_known = locate_neighbors(state, neighbors, swarm)
+        seen = NeighborLocations(*(part[active] for part in locate_neighbors(state, neighbors)))
         rules = swarm.formation, swarm.control_law, swarm.avoidance.legacy
-        own = roles.assignment[active], relative[active], is_known[active]
-        u[active] = compute_velocity_commands(*own, *rules)
+        u[active] = compute_velocity_commands(roles.assignment[active], seen, *rules)
     if roles.commanded_agent >= 0:
         u[roles.commanded_agent] = roles.operator_velocity
         state.blocked_time[roles.commanded_agent] = 0.0  # it does not wander

@@ -21,10 +21,10 @@ class Neighbors(NamedTuple):
     holder: Int[Array, "agents most"]
     is_there: Bool[Array, "agents most"]  # False beyond the last neighbor
     is_other: Bool[Array, "agents most"]  # False also where the agent itself is the holder
-    rotation: Complex[Array, "agents most"]  # of the holder's frame
-    offset: Float[Array, "agents most 3"]  # of the origin of the holder's frame from the own [m]
-    i: Int[Array, " pairs"]  # agents, one by one for each neighbor that is there
-    j: Int[Array, " pairs"]  # these neighbors
+    pair: Int[Array, "agents most"]  # of the agent and the holder, counted row by row
+    rotation: Complex[Array, "agents most"]  # of the holder's frame in the own
+    offset: Complex[Array, "agents most"]  # of the origin of the holder's frame, in the own [m]
+    rise: Float[Array, "agents most"]  # of this origin above the own [m]
 
     @classmethod
     def of(
@@ -34,10 +34,26 @@ class Neighbors(NamedTuple):
         frames: "CoordinateFrames",
     ) -> "Neighbors":
         """Collect what does not change while agents hold their points."""
-        i, own = np.nonzero(is_there)[0], np.arange(len(holder))[:, None]
+        agents = np.arange(len(holder))[:, None]
         offset = frames.origin[holder] - frames.origin[:, None]
-        poses = frames.rotation[holder], offset
-        return cls(holder, is_there, is_there & (holder != own), *poses, i, holder[is_there])
+        turn = np.conj(frames.rotation)[:, None]
+        return cls(
+            holder,
+            is_there,
+            is_other=is_there & (holder != agents),
+            pair=agents * len(holder) + holder,
+            rotation=turn * frames.rotation[holder],
+            offset=turn * as_complex(offset),
+            rise=offset[..., 2],
+        )
+
+
+class NeighborLocations(NamedTuple):
+    """Holders of neighboring points relative to each agent, in its own frame."""
+
+    flat: Complex[Array, "agents most"]  # in the plane [m]
+    rise: Float[Array, "agents most"]  # [m]
+    is_known: Bool[Array, "agents most"]  # True where there is a neighbor that was heard
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
@@ -85,31 +101,26 @@ def exchange_positions(
     ring = len(state.sent)
     state.sent[message % ring] = state.measured_position
     arriving = state.sent[(message - swarm.message_delay) % ring]
-    i, j, is_there = neighbors.i, neighbors.j, neighbors.is_there
+    is_heard = neighbors.is_there
     if swarm.message_loss > 0:
-        is_heard = (rng.random(is_there.shape) >= swarm.message_loss)[is_there]
-        i, j = i[is_heard], j[is_heard]
-    state.received[i, j] = arriving[j]
+        is_heard = is_heard & (rng.random(is_heard.shape) >= swarm.message_loss)
+    pair, j = neighbors.pair[is_heard], neighbors.holder[is_heard]
+    state.received_flat.ravel()[pair] = as_complex(arriving)[j]
+    state.received_height.ravel()[pair] = arriving[j, 2]
 
 
-def locate_neighbors(
-    state: "FormationState", neighbors: Neighbors, swarm: "StepParameters"
-) -> tuple[Float[Array, "agents most 3"], Bool[Array, "agents most"]]:
+def locate_neighbors(state: "FormationState", neighbors: Neighbors) -> NeighborLocations:
     """Locate the holders of neighboring points relative to each agent, in its own frame.
 
     Their own estimates are used, and the poses of their frames in its own, which it knows.
-
-    Returns:
-        Relative positions, and True where there is a neighbor that was heard.
     """
-    own, frames = np.arange(len(state.position))[:, None], swarm.coordinate_frames
-    heard, offset = state.received[own, neighbors.holder], neighbors.offset
-    flat = neighbors.rotation * as_complex(heard) + as_complex(offset)
-    relative = np.empty_like(heard)
-    relative[..., :2] = as_pairs(np.conj(frames.rotation)[:, None] * flat)
-    relative[..., 2] = heard[..., 2] + offset[..., 2]
-    relative -= state.measured_position[:, None]
-    return relative, neighbors.is_other & ~np.isnan(heard[..., 0])
+    heard, height = (
+        np.take(part, neighbors.pair) for part in (state.received_flat, state.received_height)
+    )
+    own = state.measured_position
+    flat = neighbors.rotation * heard + (neighbors.offset - as_complex(own)[:, None])
+    rise = height + (neighbors.rise - own[:, 2:])
+    return NeighborLocations(flat, rise, neighbors.is_other & ~np.isnan(height))
 
 
 class Nearby(NamedTuple):
