@@ -154,7 +154,11 @@ def linearize_along(
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
     _validate_steps(dt, T)
-    x0, times = x[..., :T, :], t0 + dt * np.arange(T)
+    if u.ndim > 2:  # one by one, as the processor's cache holds what one takes
+        each = [linearize_along(model, *own, dt, t0) for own in zip(x, u, strict=True)]
+        A, B, z = (np.stack(parts) for parts in zip(*((d.A, d.B, d.z) for d in each), strict=True))
+        return DiscreteModel(A, B, z, dt)
+    x0, times = x[:T], t0 + dt * np.arange(T)
     lead = x0.shape[:-1]
 
     def rate(t: float, y: Array) -> Array:

@@ -15,6 +15,7 @@ from dynamics.model import Controls, Jacobian, NonlinearModel, Rates, States, Ti
 from dynamics.orbit import Orbit, Scalars, Vectors, lvlh_rates
 from dynamics.symbols import Numbers
 
+X_AXIS = np.array([1.0, 0.0, 0.0])
 MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for positions with z ≠ 0
 
 
@@ -37,7 +38,9 @@ class J2(NonlinearModel):
         l, v = x[..., :3], x[..., 3:]  # noqa: E741
         g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit) - gravity
         a = g + u - _matvec(centrifugal, l) - 2 * _matvec(omega, v)
-        return np.concatenate([np.broadcast_to(v, a.shape), a], axis=-1)
+        change = np.empty((*a.shape[:-1], 6), a.dtype)
+        change[..., :3], change[..., 3:] = v, a
+        return change
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
@@ -103,24 +106,26 @@ def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
         pole: s, the unit vector along the Earth's axis, in the same axes.
         orbit: Orbit with the gravitational parameters.
     """
-    mu, k = orbit.mu, orbit.k_J2
-    rho2 = (R * R).sum(axis=-1, keepdims=True)
-    rho, Z = np.sqrt(rho2), (R * pole).sum(axis=-1, keepdims=True)
-    eta2 = mu / (rho * rho2) + k / (rho * rho2**2) * (1 - 5 * Z**2 / rho2)
-    return np.asarray(-eta2 * R - 2 * k * Z / (rho * rho2**2) * pole)
+    rho2, Z = _dot(R, R), _dot(R, pole)
+    rho3 = rho2 * np.sqrt(rho2)
+    share = orbit.k_J2 / (rho2 * rho3)
+    eta2 = orbit.mu / rho3 + share * (1 - 5 * Z * Z / rho2)
+    return np.asarray(-eta2[..., None] * R - (2 * share * Z)[..., None] * pole)
 
 
 def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Numbers[Array, "... 3 3"]:
     """Return ∂g/∂R [1/s²] of `gravity_acceleration`."""
-    mu, k = orbit.mu, orbit.k_J2
-    R, pole = np.broadcast_arrays(R, pole)
-    rho = np.linalg.norm(R, axis=-1)[..., None, None]
-    Z = (R * pole).sum(axis=-1)[..., None, None]
-    eta2 = mu / rho**3 + k / rho**5 - 5 * k * Z**2 / rho**7
-    along = 3 * mu / rho**5 + 5 * k / rho**7 - 35 * k * Z**2 / rho**9
-    RR, Rs, ss = (a[..., :, None] * b[..., None, :] for a, b in ((R, R), (R, pole), (pole, pole)))
-    cross = 10 * k * Z / rho**7 * (Rs + np.swapaxes(Rs, -1, -2))
-    return np.asarray(-eta2 * np.eye(3) + along * RR + cross - 2 * k / rho**5 * ss)
+    rho2, Z = _dot(R, R), _dot(R, pole)
+    rho3 = rho2 * np.sqrt(rho2)
+    share, q = orbit.k_J2 / (rho2 * rho3), Z * Z / rho2
+    eta2 = orbit.mu / rho3 + share * (1 - 5 * q)
+    along = (3 * orbit.mu / rho3 + 5 * share * (1 - 7 * q)) / rho2
+    across = 10 * share * Z / rho2
+    # −η² I + R aᵀ + s bᵀ
+    a = along[..., None] * R + across[..., None] * pole
+    b = across[..., None] * R - (2 * share)[..., None] * pole
+    gradient = R[..., :, None] * a[..., None, :] + pole[..., :, None] * b[..., None, :]
+    return np.asarray(gradient - eta2[..., None, None] * np.eye(3))
 
 
 def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vectors:
@@ -176,7 +181,7 @@ def _potential(R: Array, pole: Array, orbit: Orbit) -> Array:
 
 
 def _from_earth_center(chief: Array, l: Array) -> Array:  # noqa: E741
-    return np.asarray(l + chief[..., :1] * np.array([1.0, 0.0, 0.0]))
+    return np.asarray(l + chief[..., :1] * X_AXIS)
 
 
 def _earth_axis(chief: Array) -> Array:
@@ -199,5 +204,12 @@ def _cross_matrix(a: Scalars, c: Scalars) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def _dot(a: Array, b: Array) -> Array:
+    # NumPy's sums take longer along an axis of three.
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
 def _matvec(matrix: Array, vector: Array) -> Array:
+    if matrix.ndim == 2:
+        return np.asarray(vector @ matrix.T)
     return np.asarray(np.einsum("...ab,...b->...a", matrix, vector))

@@ -9,7 +9,7 @@ equatorial orbits too.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, hypot, inf, isfinite, pi, sin, sqrt
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -163,7 +163,7 @@ class Orbit:
         for j in range(int(segment.max(initial=0))):
             _integrate_segment(self, j)  # in order, so that none recurses through all before it
         for j in np.unique(segment):
-            elements[segment == j] = _integrate_segment(self, int(j)).sol(times[segment == j]).T
+            elements[segment == j] = _integrate_segment(self, int(j)).at(times[segment == j])
         return elements
 
 
@@ -245,14 +245,35 @@ def polar_nodal_scales(chief: Float[Array, " 6"]) -> Float[Array, " 6"]:
     return np.array([r, h / r, h, 1.0, 1.0, 1.0])
 
 
+class _Segment(NamedTuple):
+    """Elements over a segment of time: the dense output of DOP853, of all its steps together."""
+
+    ends: Float[Array, " steps+1"]  # of the steps [s]
+    start: Float[Array, "steps 6"]  # elements
+    terms: Float[Array, "steps 7 6"]
+    last: Float[Array, " 6"]  # elements at the end
+
+    def at(self, times: Float[Array, " k"]) -> OrbitStates:
+        """Evaluate the elements at many times, as the solution of SciPy does one after another."""
+        k = np.searchsorted(self.ends, times).clip(1, len(self.start)) - 1
+        x = ((times - self.ends[k]) / np.diff(self.ends)[k])[:, None]
+        y = np.zeros((len(times), 6))
+        for i, term in enumerate(np.moveaxis(self.terms[k], 1, 0)[::-1]):
+            y = (y + term) * (1 - x if i % 2 else x)
+        return y + self.start[k]
+
+
 @lru_cache(maxsize=4096)
-def _integrate_segment(orbit: Orbit, j: int) -> Any:
-    y = _integrate_segment(orbit, j - 1).y[:, -1] if j > 0 else np.array(orbit.initial_elements)
+def _integrate_segment(orbit: Orbit, j: int) -> _Segment:
+    y = _integrate_segment(orbit, j - 1).last if j > 0 else np.array(orbit.initial_elements)
     span, atol = (j * SEGMENT_DURATION, (j + 1) * SEGMENT_DURATION), RTOL * polar_nodal_scales(y)
 
     def rate(t: float, y: Array) -> Array:
         return polar_nodal_rates(y, orbit.mu, orbit.k_J2)
 
-    return scipy.integrate.solve_ivp(
+    found = scipy.integrate.solve_ivp(
         rate, span, y, "DOP853", dense_output=True, rtol=RTOL, atol=atol
     )
+    steps = found.sol.interpolants
+    start, terms = (np.array([getattr(step, name) for step in steps]) for name in ("y_old", "F"))
+    return _Segment(found.sol.ts, start, terms, found.y[:, -1])

@@ -10,6 +10,7 @@ zero-order hold. Otherwise its error is at most max |p⁗| h⁴/384: `interpolat
 bounds it for time-invariant models, `sampled_interpolation_error` estimates it from samples.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
 
 MAX_PAIRS = 50_000  # of agents in pieces, that are compared at once
-FEW_AGENTS = 16  # up to which all instants are compared at once
+FEW_AGENTS = 24  # up to which pairs of all instants are compared at once
 FEW_POINTS = 200  # up to which all pairs are measured sooner than a tree is built
 
 Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
@@ -144,24 +145,16 @@ def separations(
     b = np.moveaxis(control_points(*by_agent, h), 0, 1)
     wide = np.ones(agents) if radii is None else radii
     lost = np.zeros_like(alive) if is_adrift is None else is_adrift & ~alive
+    present = (alive[:-1] | lost[:-1]) & np.isfinite(b).all(axis=(2, 3))
+    list_pairs = _list_pairs_of_few if agents <= FEW_AGENTS else _list_pairs_by_trees
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
-    first, count, pairs = 0, 0, []
-    for k in range(K):
-        present = np.flatnonzero((alive[k] | lost[k]) & np.isfinite(b[k]).all(axis=(1, 2)))
-        pairs.append(present[_near_pairs(b[k, present], wide[present], lost[k, present])])
-        count += len(pairs[-1])
-        if k < K - 1 and count < MAX_PAIRS:
-            continue
-        piece = np.repeat(np.arange(len(pairs)), [len(some) for some in pairs])
-        i, j = np.concatenate(pairs).T
-        relative = b[first + piece, j] - b[first + piece, i]
-        relative /= ((wide[i] + wide[j]) / 2)[:, None, None]
-        distance, fraction = closest_approaches(relative, piece)
+    for k, i, j in list_pairs(b, wide, present, lost[:-1]):
+        relative = (b[k, j] - b[k, i]) / ((wide[i] + wide[j]) / 2)[:, None, None]
+        distance, fraction = closest_approaches(relative, k - k.min(initial=K))
         order = np.argsort(-distance, kind="stable")  # the last of a piece stays
-        k_of = first + piece[order]
-        found.distance[k_of], found.fraction[k_of] = distance[order], fraction[order]
-        found.pair[k_of] = np.stack([i, j], axis=1)[order]
-        first, count, pairs = k + 1, 0, []
+        k = k[order]
+        found.distance[k], found.fraction[k] = distance[order], fraction[order]
+        found.pair[k] = np.stack([i, j], axis=1)[order]
     return found
 
 
@@ -290,6 +283,51 @@ def _midpoint_error(position: Array, velocity: Array, h: float) -> float:
     pieces = control_points(position[..., ::2, :], velocity[..., ::2, :], 2 * h)
     error = np.linalg.norm(evaluate_bezier(pieces, 0.5) - position[..., 1::2, :], axis=-1)
     return float(np.max(error, initial=0.0, where=np.isfinite(error)))
+
+
+_Pairs = Iterator[tuple[Array, Array, Array]]  # piece, and both agents
+
+
+def _list_pairs_of_few(
+    b: Float[Array, "pieces agents 4 d"],
+    radii: Float[Array, " agents"],
+    present: Bool[Array, "pieces agents"],
+    is_lost: Bool[Array, "pieces agents"],
+) -> _Pairs:
+    """List the pairs that `_near_pairs` lists, for many pieces at once."""
+    i, j = np.triu_indices(b.shape[1], 1)
+    kept = (radii[i] + radii[j]) / 2
+    size = MAX_PAIRS // max(1, len(i))
+    for first in range(0, len(b), size):
+        there, lost = (part[first : first + size] for part in (present, is_lost))
+        part = np.where(there[..., None, None], b[first : first + size], np.nan)
+        counts = there[:, i] & there[:, j] & ~(lost[:, i] & lost[:, j])
+        ends = part[:, :, [0, 3]]
+        apart = np.linalg.norm(ends[:, i] - ends[:, j], axis=3).min(axis=2) / kept
+        bound = np.where(counts, apart, np.inf).min(axis=1, initial=np.inf)
+        middle = ends.mean(axis=2)
+        reach = np.linalg.norm(part - middle[:, :, None], axis=3).max(axis=2)
+        gap = np.linalg.norm(middle[:, i] - middle[:, j], axis=2) * (1 - 1e-12)
+        near = gap <= bound[:, None] * kept + reach[:, i] + reach[:, j]
+        piece, pair = np.nonzero(near & counts)
+        yield first + piece, i[pair], j[pair]
+
+
+def _list_pairs_by_trees(
+    b: Float[Array, "pieces agents 4 d"],
+    radii: Float[Array, " agents"],
+    present: Bool[Array, "pieces agents"],
+    is_lost: Bool[Array, "pieces agents"],
+) -> _Pairs:
+    pairs, count = list[Array](), 0
+    for k, those in enumerate(map(np.flatnonzero, present)):
+        near = those[_near_pairs(b[k, those], radii[those], is_lost[k, those])]
+        pairs.append(np.insert(near, 0, k, axis=1))
+        count += len(near)
+        if k == len(b) - 1 or count >= MAX_PAIRS:
+            piece, i, j = np.concatenate(pairs).T
+            yield piece, i, j
+            pairs, count = [], 0
 
 
 def _near_pairs(
