@@ -18,7 +18,6 @@ bound, which certifies that b is unreachable.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +35,7 @@ MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that ne
 DEFAULT_BATCHES = 64
 MIN_PARALLEL = 500  # programs that are worth starting threads for
 TASKS_PER_CORE = 8  # some batches take far longer than others: small tasks balance the cores
+FEW_PROGRAMS = 256  # whose certificates stay in the cache of a core
 CERTIFICATE_TOLERANCE = 1e-9  # relative, of residuals and gap
 
 
@@ -161,15 +161,15 @@ def _solve_decoupled(
     (s, T, i), U = C.shape, limit.most
     orthonormal = OrthonormalRows.from_matrix((C * limit.shares).reshape(s, T * i))
     Q, (transformed, unreachable) = orthonormal.rows, orthonormal.transform(b, U)
-    u, w = np.zeros((len(b), T * i)), np.outer(weight, limit.shares).ravel()
+    x, w = np.zeros((len(b), T * i)), np.outer(weight, limit.shares).ravel()
     is_reachable = np.ones(len(b), dtype=bool)
     if len(Q) > 0:
         x, is_certified, is_infeasible = _solve_parallel(Q, w, transformed / U, batches)
-        u, is_reachable = U * x, ~is_infeasible
+        is_reachable = ~is_infeasible
         for q in np.flatnonzero(~is_certified):
-            u[q], is_reachable[q] = _solve_with_highs(Q, transformed[q], U, w)
+            x[q], is_reachable[q] = _solve_with_highs(Q, transformed[q] / U, w)
     is_reachable[unreachable] = False
-    return u.reshape(len(b), T, i) * limit.shares, is_reachable
+    return x.reshape(len(b), T, i) * (U * limit.shares), is_reachable
 
 
 def _solve_parallel(
@@ -186,8 +186,8 @@ def _solve_parallel(
     def solve_some(task: int) -> None:
         own = starts[task * batches // tasks : (task + 1) * batches // tasks + 1]
         solve_batches(Q, first_basis, w, b, own, MAX_PIVOTS, x, λ, status)
-        for first, last in pairwise(own):  # few enough to stay in the cache of a core
-            few = slice(first, last)
+        for first in range(own[0], own[-1], FEW_PROGRAMS):
+            few = slice(first, min(first + FEW_PROGRAMS, own[-1]))
             parts = b[few], x[few], λ[few], status[few]
             is_certified[few], is_infeasible[few] = _certify(Q, w, *parts)
 
@@ -262,7 +262,7 @@ class OrthonormalRows:
 
 
 def _solve_with_highs(
-    Q: Float[Array, "r N"], b: Float[Array, " r"], U: float, w: Float[Array, " N"]
+    Q: Float[Array, "r N"], b: Float[Array, " r"], w: Float[Array, " N"]
 ) -> tuple[Float[Array, " N"], bool]:
     """Solve one program; False where it is infeasible."""
     from problems.solvers import solve_highs
@@ -270,10 +270,10 @@ def _solve_with_highs(
     r, N = Q.shape
     box = np.vstack([np.eye(2 * N), -np.eye(2 * N)])
     A = np.vstack([np.concatenate([Q, -Q], axis=1), box])
-    limits = np.concatenate([b / U, np.ones(2 * N), np.zeros(2 * N)])
+    limits = np.concatenate([b, np.ones(2 * N), np.zeros(2 * N)])
     problem = ConicProgram(np.concatenate([w, w]), csc_array(A), limits, r, 4 * N)
     try:
         found = solve(problem, solve_highs)
     except Infeasible:
         return np.zeros(N), False
-    return U * (found.x[:N] - found.x[N:]), True
+    return found.x[:N] - found.x[N:], True
