@@ -4,13 +4,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from numpy import ndarray as Array
 
 from dynamics.model import StateSamples
-from dynamics.trajectory_geometry import divide_pieces, evaluate_bezier, hull_distance
+from dynamics.trajectory_geometry import evaluate_bezier, hull_distance
 from problems.drifts import DriftHorizon, Drifts
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.subdivision import minimize_along
 from sato.reconfiguration.passive_safety import make_horizon
 
 PRECISION = 1e-6  # of the distance, over that which is asked for
@@ -107,38 +108,22 @@ def approach_others(
     counts: Bool[Array, " drifts"],
     enough: float = np.inf,
 ) -> DriftApproach | None:
-    """Return the nearest approach of one agent's drifts to others, if it is below a number [m].
+    """Return the nearest approach of an agent's drifts to others, if it is nearer than enough [m].
 
-    Args:
-        flown: Drifts of the agents at the end of a leg.
-        leg: The leg.
-        row: Row of the agent among these.
-        counts: True for the pieces of drifts that count.
-        enough: The number.
+    The row of the agent is that among the agents at the end of the leg.
     """
     (horizon, drifts), agents = flown, np.flatnonzero(leg.alive)
     pieces, others = np.flatnonzero(counts), np.flatnonzero(np.arange(len(agents)) != row)
     relative = drifts.drifts[row, pieces] - drifts.path[others][:, horizon.piece[pieces]]
-    distance, other, drift = _approach(relative, enough, horizon.distance)
-    if other < 0:
+
+    def measure(parts: Array, _: Array) -> tuple[Array, Array]:
+        middle = np.linalg.norm(evaluate_bezier(parts, 0.5), axis=1)
+        return middle, hull_distance(parts)[0]
+
+    flat, precision = relative.reshape(-1, *relative.shape[2:]), PRECISION * horizon.distance
+    distance, number, _ = minimize_along(flat, measure, precision, enough)
+    if number < 0:
         return None
+    other, drift = divmod(number, len(pieces))
     step = leg.start_index + int(horizon.step[pieces[drift]])
     return DriftApproach(distance, int(agents[row]), int(agents[others[other]]), step)
-
-
-def _approach(
-    relative: Float[Array, "others drifts 4 d"], enough: float, scale: float
-) -> tuple[float, int, int]:
-    """Return the least distance from the origin, if it is below a number, and in which piece."""
-    found = enough, -1, -1
-    index: Int[Array, "k 2"] = np.argwhere(np.ones(relative.shape[:2], dtype=bool))
-    pieces = relative.reshape(-1, *relative.shape[2:])
-    while len(pieces):
-        distance = np.linalg.norm(evaluate_bezier(pieces, np.full(len(pieces), 0.5)), axis=1)
-        k = int(distance.argmin())
-        if distance[k] < found[0]:
-            found = float(distance[k]), int(index[k, 0]), int(index[k, 1])
-        left = hull_distance(pieces)[0] < found[0] - PRECISION * scale
-        pieces = divide_pieces(pieces[left], 2).reshape(-1, *relative.shape[2:])
-        index = np.repeat(index[left], 2, axis=0)
-    return found
