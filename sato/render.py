@@ -24,15 +24,7 @@ _MARK = "figure of a run, by sato"  # in the metadata of a figure, by which old 
 
 
 def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
-    """Draw every figure of a run.
-
-    Args:
-        data: Data of the run.
-        mission: Mission that was flown, drawn.
-
-    Returns:
-        Figures by name, in the order of the system.
-    """
+    """Draw every figure of a run, by name, of the drawn mission that was flown."""
     figures = {}
     for name, draw in load_system(data.attrs["system"]).figures(data, mission).items():
         with matplotlib.rc_context(STYLE):
@@ -40,33 +32,11 @@ def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
     return figures
 
 
-def plot(data: RunData, mission: Any, directory: Path, pdf: bool = False) -> list[Path]:
-    """Draw every figure of a run into a directory, in place of figures of earlier runs.
-
-    Args:
-        data: Data of the run.
-        mission: Mission that was flown, drawn.
-        directory: Made if it is missing.
-        pdf: PDF instead of PNG.
-
-    Returns:
-        The files, in the order of the system's figures.
-    """
-    return write_figures(draw_figures(data, mission), directory, pdf)
-
-
 def write_figures(figures: Mapping[str, Figure], directory: Path, pdf: bool = False) -> list[Path]:
-    """Write figures into a directory, in place of all that were written before.
+    """Write figures into a directory as PNG, or PDF, in place of all that were written before.
 
-    Where one cannot be written, those that were there are kept.
-
-    Args:
-        figures: By name.
-        directory: Made if it is missing.
-        pdf: PDF instead of PNG.
-
-    Returns:
-        The files.
+    The directory is made if it is missing. Where one cannot be written, all that were there are
+    kept.
     """
     directory.mkdir(parents=True, exist_ok=True)
     drawn = (path for end in ("png", "pdf") for path in directory.glob(f"*.{end}"))

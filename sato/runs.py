@@ -92,9 +92,9 @@ class Run:
 
     def plot(self, directory: str | Path, pdf: bool = False) -> list[Path]:
         """Write the figures of the run as PNG, or PDF, in place of figures of earlier runs."""
-        from sato.render import plot
+        from sato.render import write_figures
 
-        return plot(self.recorded, self.drawn_mission, Path(directory), pdf)
+        return write_figures(self.figures(), Path(directory), pdf)
 
     def animate(self, directory: str | Path, **options: Any) -> Path:
         """Write an animation of the run; options as in `sato.render.animate`."""
