@@ -29,9 +29,6 @@ def show_mission_progress(
 ) -> Iterator[Callable[[MissionT, FrameT], None]]:
     """Show progress: a bar on a terminal or in a notebook, else a line a stage.
 
-    Args:
-        progress_of: Progress of a mission at a frame.
-
     Yields:
         A function to be called with the mission and each frame.
     """

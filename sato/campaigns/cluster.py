@@ -23,10 +23,7 @@ FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
 
 @contextmanager
 def connect(address: str) -> Iterator[Any]:
-    """Connect to a scheduler.
-
-    Args:
-        address: Address of the scheduler, "tcp://host:8786".
+    """Connect to a scheduler by its address, "tcp://host:8786".
 
     Raises:
         InputError: Dask is not installed, this is no address, or workers have several threads.
@@ -59,13 +56,7 @@ def fly_on_cluster(
 
     Dask flies the trial of a worker that died on another one, up to its own limit
     (`distributed.scheduler.allowed-failures`). A thread cannot be ended, so a worker ends itself
-    at the time limit, and its nanny starts another one.
-
-    Args:
-        client: Client of a scheduler.
-        function: Function of a trial, importable by name on the workers.
-        trials: Trials, taken as workers become free.
-        time_limit: Time after which a trial is ended [s]; None for no limit.
+    at the time limit, and its nanny starts another one. Arguments are as of `fly_locally`.
 
     Raises:
         InputError: Workers have no nannies where there is a time limit, or a function of the
@@ -132,9 +123,8 @@ def _end_after(time_limit: float | None, topic: str, key: str) -> Iterator[None]
         return
     worker = get_worker()
     if worker.nanny is None:  # nothing would start it again
-        raise InputError(
-            "campaign.time_limit_s", "needs workers with nannies, as `dask worker` has"
-        )
+        reason = "needs workers with nannies, as `dask worker` has"
+        raise InputError("campaign.time_limit_s", reason)
 
     def end() -> None:
         worker.log_event(topic, key)

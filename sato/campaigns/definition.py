@@ -280,11 +280,9 @@ class Campaign(Definition):
 
 
 def read_campaign(path: Path, **changes: Any) -> Campaign:
-    """Read a campaign's file; files that it names lie beside it.
+    """Read a campaign's TOML file; files that it names lie beside it.
 
-    Args:
-        path: TOML file.
-        changes: Keys of its table [campaign] that are changed; None leaves one as it is.
+    Changes are of keys of its table [campaign]; None leaves one as it is.
 
     Raises:
         ScenarioError: It cannot be read, or is no campaign.

@@ -54,10 +54,8 @@ def fly_campaign(
         WorkerError: Workers end at once, or the scheduler cannot be reached.
     """
     if campaign.runs > MOST_RUNS and not allow_many:
-        reason = (
-            f"{campaign.runs:,} runs are more than {MOST_RUNS:,}; --yes flies them all the same"
-        )
-        raise InputError("", reason)
+        reason = f"{campaign.runs:,} runs are more than {MOST_RUNS:,}"
+        raise InputError("", f"{reason}; --yes flies them all the same")
     if workers is not None and workers < 1:
         raise InputError("workers", f"must be at least 1, got {workers}")
     campaign.check_keys()
@@ -82,11 +80,7 @@ def fly_campaign(
 
 
 def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
-    """Fly a row again from itself, keep the run, and compare the cells.
-
-    Args:
-        table: Table that holds the row.
-        number: Number of the row.
+    """Fly a row again from itself, by its number, keep the run, and compare the cells.
 
     Returns:
         The outcome, and the columns that differ; None where the worker of the row died or was
@@ -143,12 +137,11 @@ def _check_same(campaign: Campaign, table: CampaignTable, allow_version: bool) -
         return
     cure = "--allow-version goes on all the same, and rows tell their versions and scenarios"
     if table.version != now:
-        raise InputError(
-            "", f"{table.folder}: was begun by sato {table.version}, not {now}; {cure}"
-        )
+        reason = f"was begun by sato {table.version}, not {now}"
+        raise InputError("", f"{table.folder}: {reason}; {cure}")
     if campaign.fingerprint != table.fingerprint or "scenario" in campaign.differences(held):
-        reason = f"was begun with another scenario or function; {cure}"
-        raise InputError("", f"{table.folder}: {reason}")
+        reason = "was begun with another scenario or function"
+        raise InputError("", f"{table.folder}: {reason}; {cure}")
 
 
 @contextmanager

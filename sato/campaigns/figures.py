@@ -36,14 +36,9 @@ def draw_campaign(
     where: Sequence[str] = (),
     scatter: Sequence[str] = (),
 ) -> dict[str, Figure]:
-    """Draw the runs of a campaign.
+    """Draw the runs of a campaign; arguments are as of `group_runs`.
 
-    Args:
-        table: Table of the campaign.
-        by: As of `group_runs`.
-        show: As of `group_runs`.
-        where: As of `group_runs`.
-        scatter: Terms of two axes; the first two numbers that are shown, if empty.
+    The scatter plot is of the terms of two axes, or else of the first two numbers that are shown.
 
     Returns:
         Figures by name: "rates" and "distributions" by group, "grid" over two columns, "scatter".
@@ -119,13 +114,7 @@ def draw_distributions(table: GroupTable) -> Figure:
 def draw_scatter(
     by: Sequence[str], terms: Sequence[Term], rows: Sequence[tuple[Any, ...]]
 ) -> Figure:
-    """Draw runs as points over two terms, marked by group.
-
-    Args:
-        by: Columns by which runs are grouped.
-        terms: Horizontal and vertical axis.
-        rows: Columns and terms of each run.
-    """
+    """Draw runs, rows of columns and then of two terms, as points over these, marked by group."""
     figure, [ax] = _make_panels(1, 1.3 * HEIGHT, 1.4 * WIDTH)
     points: dict[Any, list[tuple[float, float]]] = {}
     for *key, x, y in rows:

@@ -34,11 +34,7 @@ pre { background: #f5f5f5; padding: 0.8rem; overflow-x: auto }
 
 
 def write_report(table: CampaignTable, path: Path) -> Path:
-    """Write the report of a campaign.
-
-    Args:
-        table: Table of the campaign.
-        path: HTML file; one that is there is replaced once all is written.
+    """Write the report of a campaign, HTML; a file that is there is replaced once all is written.
 
     Raises:
         InputError: The campaign has no runs yet.

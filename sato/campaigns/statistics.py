@@ -31,12 +31,7 @@ class Statistics:
 
     @classmethod
     def of(cls, values: Iterable[Any], is_rate: bool = False) -> "Statistics":
-        """Collect values; None and NaN are absent ones.
-
-        Args:
-            values: Numbers, booleans or None, one a run.
-            is_rate: True where the column is a boolean.
-        """
+        """Collect values, one a run, of a rate if they are booleans; None and NaN are absent."""
         numbers = np.array([nan if value is None else value for value in values], dtype=float)
         return cls(np.sort(numbers[~np.isnan(numbers)]), len(numbers), is_rate)
 

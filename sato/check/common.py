@@ -49,8 +49,7 @@ class EventLog:
 Change = tuple[int, str, int]  # instant, "loss", "join" or "refused", and agent
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
+class Schedule(NamedTuple):
     """Losses and joins that a run should have had."""
 
     alive: Alive
@@ -60,12 +59,9 @@ class Schedule:
     def from_events(
         cls, start: Bool[Array, " agents"], instants: int, events: list[Change]
     ) -> "Schedule":
-        """Return the schedule of these events, in the order of time.
+        """Return the schedule of these events, in the order of time, by who is there at the start.
 
-        Args:
-            start: True for agents that are there at the start.
-            instants: Number of instants of the run.
-            events: Losses and joins, one an agent.
+        An agent has one event, a loss or a join.
         """
         alive = np.tile(start, (instants, 1))
         for k, kind, agent in events:
@@ -82,12 +78,7 @@ class ClosestPair(NamedTuple):
 
 
 def find_closest_approach(position: Float[Array, "instants agents d"], alive: Alive) -> ClosestPair:
-    """Find the closest approach of all pairs of live agents, between instants too.
-
-    Args:
-        position: Positions at each instant [m].
-        alive: True for agents that take part.
-    """
+    """Find the closest approach of all pairs of live agents, between instants too."""
     # The last instant is repeated, so that it counts where there is no other.
     way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
     moves = alive[1:] & alive[:-1] & np.isfinite(way[1:]).all(axis=2)
@@ -116,12 +107,7 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
 
 
 def common_summary(attributes: Mapping[str, Any], alive: Alive) -> dict[str, Any]:
-    """Return the entries that begin every summary.
-
-    Args:
-        attributes: Attributes of the run.
-        alive: True for agents that take part, at each instant.
-    """
+    """Return the entries that begin every summary, from the attributes of the run."""
     return {
         "system": str(attributes["system"]),
         "scenario": str(attributes["name"]),
@@ -137,23 +123,14 @@ def drop_non_finite(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def incomplete_reason(attributes: Mapping[str, Any]) -> str:
-    """Describe why a flight was not completed; empty if it was.
-
-    Args:
-        attributes: Attributes of the run.
-    """
+    """Describe why a flight was not completed, from its attributes; empty if it was."""
     if attributes.get("complete", 1):
         return ""
     return f"the flight was not completed ({attributes.get('stopped', 'for an unknown reason')})"
 
 
 def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
-    """Check that a flight was completed, and that its record lacks nothing.
-
-    Args:
-        attributes: Attributes of the run.
-        lacking: Description of what the record lacks; empty if nothing.
-    """
+    """Check that a flight was completed, and that its record is not lacking what is described."""
     reasons = [text for text in (lacking, incomplete_reason(attributes)) if text]
     text = "; ".join(reasons) or "everything was flown and recorded"
     return Promise("complete", not reasons, float(len(reasons)), 0.0, text)
@@ -193,10 +170,7 @@ def check_finite(alive: Alive, *states: Float[Array, "instants agents ..."]) -> 
 def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -> Promise:
     """Check that agents join and are lost as scheduled, each with its event, and only so.
 
-    Args:
-        alive: True for agents that take part, at each instant.
-        log: Events of the run.
-        schedule: Losses and joins of the mission; without it, those of the events are believed.
+    Without a schedule, of the losses and joins of the mission, those of the events are believed.
     """
     timed = log.of_kind("loss", "join", "refused")
     found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
@@ -214,12 +188,7 @@ def _count_differences(found: Iterable[object], expected: Iterable[object]) -> i
 
 
 def check_components(frames: Frame, radius: float) -> Promise:
-    """Check that components are those of the positions and the communication radius [m].
-
-    Args:
-        frames: Frames of a run, with time as the leading axis.
-        radius: Communication radius [m].
-    """
+    """Check that components are those of the positions and the communication radius [m]."""
     wrong = []
     instants = zip(frames.position, frames.alive, frames.component, strict=True)
     for position, alive, labels in instants:

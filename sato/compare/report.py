@@ -126,12 +126,8 @@ def summarize(measurements: Sequence[Measurement], tolerance: float) -> dict[str
     """Summarize the measurements of a solver in the cells of a table, by their headers.
 
     They are its correct answers at each tolerance, the loosest first; the numbers of wrong claims
-    and of unsolved problems; medians over correct answers of each size of times and iterations;
-    and the largest error of the cost.
-
-    Args:
-        measurements: Measurements of the solver in a family.
-        tolerance: Tolerance at which times, iterations and the error are taken.
+    and of unsolved problems; and, at one tolerance, medians over correct answers of each size of
+    times and iterations, and the largest error of the cost.
     """
     cells = {}
     for each in dict.fromkeys(m.tolerance for m in measurements):

@@ -27,12 +27,7 @@ class OnboardProblem(NamedTuple):
 
 
 def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> OnboardProblem:
-    """Build the transfer problem of one agent of a scenario among its neighbors.
-
-    Args:
-        scenario: Name of a built-in scenario, or a file.
-        neighbors: Number of neighbors for which there is room.
-        steps: Number of steps of the flight; that of the first leg if None.
+    """Build the transfer problem of one agent of a scenario, with arguments as of `export_c`.
 
     Raises:
         ValueError: There is no such scenario, or its model changes with time or state.

@@ -95,13 +95,7 @@ class Definition:
 
 
 class Field:
-    """Field of a definition, with all that its annotation says.
-
-    Args:
-        name: Name of the attribute.
-        hint: Annotated type.
-        default: Default; MISSING where a value is required.
-    """
+    """Field of a definition, with all that its annotation says; MISSING marks no default."""
 
     def __init__(self, name: str, hint: Any, default: Any) -> None:
         self.name, self.default, self.annotation = name, default, hint

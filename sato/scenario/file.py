@@ -87,10 +87,7 @@ def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
 
 
 def read_data(name: str | Path) -> dict[str, Any]:
-    """Read the tables of a scenario as `from_dict` takes them, from any folder.
-
-    Args:
-        name: A name that `scenarios` lists, or the path of a TOML file.
+    """Read the tables of a scenario as `from_dict` takes them; the name is as of `read`.
 
     Raises:
         ScenarioError: There is no such scenario, or it is no TOML.

@@ -63,12 +63,7 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
 
 
 def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:
-    """Return the places of a scenario's tables that a setting of a key changes.
-
-    Args:
-        data: As read from TOML.
-        address: Key, with as many of its tables as it takes, in any unit.
-        definition: Mission of the system, whose keys the tables may have.
+    """Return the places that a setting of a key, in any unit, changes; arguments as `override`.
 
     Returns:
         Path of each table, and the name of the key there, which is the same in all units.

@@ -43,12 +43,7 @@ Layout = dict[str, dict[str, Entry | None]]
 
 
 def layout(definition: Any, inline: type | None = None) -> Layout:
-    """List the tables and keys of a definition.
-
-    Args:
-        definition: A class of definitions.
-        inline: Definition whose keys stand in the same table, where that is known.
-    """
+    """List the tables and keys of a class of definitions, and of the inline one if it is known."""
     tables: Layout = {"": {"kind": None} if kinds_of(definition) else {}}
     for table, entry in _entries(definition, (), ""):
         keys = tables.setdefault(table, {})
@@ -66,11 +61,7 @@ def layout(definition: Any, inline: type | None = None) -> Layout:
 
 
 def read_table(definition: Any, data: dict[str, Any]) -> Any:
-    """Build a definition from the table of a file.
-
-    Args:
-        definition: A class of definitions.
-        data: The table, as TOML or JSON have it.
+    """Build a definition from the table of a file, as TOML or JSON have it.
 
     Raises:
         InputError: A key is unknown, missing, in the wrong unit, or has a wrong value.

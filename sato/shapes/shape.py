@@ -183,8 +183,7 @@ class Points(Shape):
 def as_points(value: Any) -> Any:
     """Convert an array of positions or states to `Points`; leave anything else as it is.
 
-    Args:
-        value: Rows of 2 or 3 coordinates, or of 4 or 6: positions, then velocities.
+    Rows have 2 or 3 coordinates, or 4 or 6: positions, then velocities.
 
     Raises:
         InputError: It is an array of another shape.

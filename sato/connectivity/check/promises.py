@@ -28,13 +28,7 @@ NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ 
 def check_run(
     data: RunData, mission: Connectivity, rng: np.random.Generator | None = None
 ) -> Report:
-    """Check the data of a run against a drawn mission.
-
-    Args:
-        data: Data of the run.
-        mission: Mission that was to be flown, drawn.
-        rng: Not used: noise and losses are checked by their effects.
-    """
+    """Check the data of a run against a drawn mission; noise and losses by their effects."""
     record = ConnectivityRecord.from_data(data, mission)
     frames = record.frames
     states = (

@@ -1,6 +1,7 @@
 """Promises of a formation flight, each checked by recomputing it."""
 
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 from numpy import ndarray as Array
@@ -27,13 +28,7 @@ ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
 
 
 def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -> Report:
-    """Check the data of a run against a drawn mission.
-
-    Args:
-        data: Data of the run.
-        mission: Mission that was to be flown, drawn.
-        rng: Not used: noise and losses are checked by their effects.
-    """
+    """Check the data of a run against a drawn mission; noise and losses by their effects."""
     record = FormationRecord.from_data(data, mission)
     frames, attributes = record.frames, record.attributes
     command, drift = frames.velocity_command, frames.frame_drift
@@ -129,21 +124,18 @@ def check_positions(record: FormationRecord) -> Promise:
     return expect_small_error("flight", error, tolerance, "m off from a step by its velocity")
 
 
-def check_limits(record: FormationRecord) -> list[Promise]:
+def check_limits(record: FormationRecord) -> Iterator[Promise]:
     """Check the limits of speed and acceleration, in the plane and vertical."""
     mission, velocity = record.mission, record.frames.velocity
     acceleration = np.diff(velocity, axis=0) / mission.frame_period
     planar, climb = _planar(record, acceleration), mission.max_climb_acceleration
-    limits = [
+    for name, values, limit, text in (
         ("speed", _planar(record, velocity), mission.max_speed, "m/s in the plane"),
         ("climb", velocity[..., 2], mission.max_climb, "m/s up or down"),
         ("acceleration", planar, mission.max_acceleration, "m/s² in the plane"),
         ("climb_acceleration", acceleration[..., 2], climb, "m/s² up or down"),
-    ]
-    return [
-        expect_below(name, values, limit, ROUNDING_TOLERANCE, text)
-        for name, values, limit, text in limits
-    ]
+    ):
+        yield expect_below(name, values, limit, ROUNDING_TOLERANCE, text)
 
 
 def check_legs(record: FormationRecord) -> Promise:

@@ -65,12 +65,8 @@ def compute_asked_bound(
     """Compute the same bound [m/s] over the steps that were asked for; NaN where there is none.
 
     Agents that join count from the step at which they were asked to, also if they waited. There is
-    none where one waited beyond its leg, or could not have arrived in time.
-
-    Args:
-        record: Run.
-        leg: Leg.
-        bound: Bound over the time that the leg took.
+    none where one waited beyond its leg, or could not have arrived in time. The bound that is
+    given is over the time that the leg took.
     """
     mission, start, entry = record.mission, leg.start_index, leg.entry_index.copy()
     for agents, at_step in mission.joining(leg.leg_index):
@@ -213,11 +209,8 @@ class _LegCosts:
                     self.cost[rows] = compute_energies(model, self.start[rows], targets)
                     self.is_exact[rows] = True
                     continue
-                own_limits = {
-                    "max_control": mission.control_limit(one).bound,
-                    "objective": objective,
-                }
-                problem = mission.make_transfer(model, one, **own_limits)
+                most = mission.control_limit(one).bound
+                problem = mission.make_transfer(model, one, max_control=most, objective=objective)
                 found = compute_transfer_costs(problem, self.start[rows], targets)
                 self.cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
                 self.is_exact[rows] = found.is_exact

@@ -22,16 +22,10 @@ SIGMA_BOUND = 8.0  # a normal draw exceeds it once in 10¹⁵
 def predict_end_states(
     record: ReconfigurationRecord, leg: LegRecord, control: Float[Array, "instants agents d"]
 ) -> Float[Array, "survivors n"]:
-    """Predict the states at the end of a leg, by the shared model.
+    """Predict states at the end of a leg, by the shared model and controls of the run [m/s²].
 
-    Args:
-        record: Run.
-        leg: Leg.
-        control: Controls of all agents in the whole run [m/s²].
-
-    Returns:
-        States of the agents that are there at its end, each from its state at the start of the
-        leg, or where it joined.
+    They are of the agents that are there at its end, each from its state at the start of the
+    leg, or where it joined.
     """
     agents, first = np.flatnonzero(leg.alive), leg.entry_index[leg.alive]
     end: Array = record.state[first, agents]
@@ -99,11 +93,7 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
     """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
     An event of the mission that comes after the end of its leg is scheduled for instant −1, at
-    which nothing can happen.
-
-    Args:
-        record: Run.
-        rng: Generator as the drawing of the mission left it.
+    which nothing can happen. The generator is as the drawing of the mission left it.
     """
     mission, alive = record.mission, record.mission.alive
     measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
@@ -124,10 +114,6 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
             due += [loss.at_step for loss in mission.legs[leg.leg_index].losses]
             events += [(-1, "", -1) for at_step in due if at_step > leg.step_count]
     return Redrawn(Schedule(expected, events), measured, applied)
-
-
-def _find_joined(record: ReconfigurationRecord, k: int) -> list[int]:
-    return [i for at, event in record.events.of_kind("join") if at == k for i in event["agents"]]
 
 
 def _has_room(
@@ -153,9 +139,10 @@ def _redraw_changes(
     # Joins and losses at an instant of a leg, which change `alive` and `waiting` in place.
     mission, at_step = record.mission, k - leg.start_index
     waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
+    known = [i for at, event in record.events.of_kind("join") if at == k for i in event["agents"]]
     joined = list[int]()
     for i in waiting:  # one after another, as later ones wait for those
-        if i in _find_joined(record, k) or _has_room(record, k, i, alive):
+        if i in known or _has_room(record, k, i, alive):
             joined.append(i)
             alive[i] = True
     changes: list[Change] = [(k, "join", i) for i in joined]

@@ -38,13 +38,7 @@ ROUNDING_TOLERANCE = 1e-10
 
 
 def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator) -> Report:
-    """Check a run's data against its drawn mission.
-
-    Args:
-        data: Data of the run.
-        mission: Drawn mission.
-        rng: Generator as the drawing of the mission left it.
-    """
+    """Check a run's data against its mission, and the generator that the drawing of it left."""
     record = ReconfigurationRecord.from_data(data, mission)
     frames, log = record.frames, record.events
     given, wanted = record.state.shape[1], len(mission.initial_states)

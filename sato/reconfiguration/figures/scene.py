@@ -130,14 +130,9 @@ def interpolate_positions(
 def draw_swarm(
     ax: Any, shot: Snapshot, space: AxisBounds, size: float = 3.7, radius: float | None = None
 ) -> None:
-    """Draw agents marked by component, and targets as light crosses.
+    """Draw agents marked by component, targets as light crosses, and circles of a radius [m].
 
-    Args:
-        ax: Axes to draw on.
-        shot: Swarm to draw.
-        space: Bounds of the axes.
-        size: Size of the marks [points].
-        radius: Radius of circles about the agents [m]; none without it.
+    The size is that of the marks [points]. Without a radius there are no circles.
     """
     scale, _ = space.unit
     draw_obstacles(ax, shot.outlines, space)
