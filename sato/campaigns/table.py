@@ -55,12 +55,7 @@ class TableError(RuntimeError):
 
 
 class CampaignTable:
-    """Table of a campaign, from which rows are read, and to which one process adds them.
-
-    Args:
-        folder: Folder of the campaign.
-        is_writer: True for the process that adds rows.
-    """
+    """Table in the folder of a campaign, from which rows are read, and to which a writer adds."""
 
     def __init__(self, folder: Path, is_writer: bool = False) -> None:
         self.folder, self.path = folder, folder / TABLE_FILE
@@ -133,10 +128,7 @@ class CampaignTable:
         return int(self.query("SELECT count(*) FROM runs").fetchone()[0])
 
     def rows(self, columns: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-        """Read rows one by one, in the order of their numbers.
-
-        Args:
-            columns: Names of columns; all if empty.
+        """Read rows one by one, in the order of their numbers; all columns, or those named.
 
         Raises:
             InputError: There is no such column.
@@ -222,16 +214,21 @@ class CampaignTable:
             TableError: The disk is full, or another program has locked the table.
         """
         cells, text = self.cells(trial, outcome), outcome.get("scenario")
-        with describe_errors(self.path), self._transaction():
-            if text is not None:
-                values = (cells["scenario_hash"], text)
-                self._connection.execute("INSERT OR IGNORE INTO scenarios VALUES (?, ?)", values)
-            known = {name: value for name, value in cells.items() if value is not None}
-            cells = {self._ensure_column(name, value): value for name, value in known.items()}
-            cells["attempts"] = attempts
-            names, marks = ", ".join(map(_quoted, cells)), ", ".join("?" * len(cells))
-            command = f"INSERT OR REPLACE INTO runs ({names}) VALUES ({marks})"
-            self._connection.execute(command, tuple(cells.values()))
+        try:
+            with describe_errors(self.path), self._connection:  # commits, or rolls back
+                self._connection.execute("BEGIN IMMEDIATE")
+                if text is not None:
+                    command = "INSERT OR IGNORE INTO scenarios VALUES (?, ?)"
+                    self._connection.execute(command, (cells["scenario_hash"], text))
+                known = {name: value for name, value in cells.items() if value is not None}
+                cells = {self._ensure_column(name, value): value for name, value in known.items()}
+                cells["attempts"] = attempts
+                names, marks = ", ".join(map(_quoted, cells)), ", ".join("?" * len(cells))
+                command = f"INSERT OR REPLACE INTO runs ({names}) VALUES ({marks})"
+                self._connection.execute(command, tuple(cells.values()))
+        except BaseException:
+            self._names = {name.lower(): name for name in self.columns}
+            raise
 
     def cells(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
         """Return the cells of the row of a trial; a name that is taken gets its origin in front."""
@@ -267,18 +264,6 @@ class CampaignTable:
             self._connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)}{kind}")
             self._names[name.lower()] = name
         return self._names[name.lower()]
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        self._connection.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._connection.execute("COMMIT")
-        except BaseException:
-            if self._connection.in_transaction:
-                self._connection.execute("ROLLBACK")
-            self._names = {name.lower(): name for name in self.columns}
-            raise
 
     @property
     def booleans(self) -> set[str]:
