@@ -103,8 +103,8 @@ def format_utc(data: RunData, time: Float[Array, " k"]) -> list[str]:
 
 def format_oem(data: RunData, track: Ephemeris) -> str:
     """Format an object's trajectory as a CCSDS OEM in key-value notation [CCSDS502, 5]."""
-    times = format_utc(data, track.time)
-    about = data.attrs
+    times, about = format_utc(data, track.time), data.attrs
+    title = f"{about['name']}, seed {about['seed']}, by sato {about['version']}"
     meta = {
         "OBJECT_NAME": track.name,
         "OBJECT_ID": track.name,
@@ -118,7 +118,7 @@ def format_oem(data: RunData, track: Ephemeris) -> str:
         meta |= {"INTERPOLATION": "HERMITE", "INTERPOLATION_DEGREE": "3"}
     lines = [
         "CCSDS_OEM_VERS = 2.0",
-        f"COMMENT {_to_ascii(about['name'])}, seed {about['seed']}, by sato {about['version']}",
+        f"COMMENT {title.encode('ascii', 'replace').decode()}",
         f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}",
         "ORIGINATOR = SATO",
         "",
@@ -175,7 +175,3 @@ def _find_obstacle(data: RunData, path: Path, format: str) -> str:
         return f"{path}: is a file, and OEMs, one an object, go into a folder"
     others = sorted(found.name for found in path.glob("*") if found.suffix != ".oem")
     return f"{path}: holds {others[0]}, not OEMs alone; another folder would do" if others else ""
-
-
-def _to_ascii(text: object) -> str:
-    return str(text).encode("ascii", "replace").decode()

@@ -31,11 +31,9 @@ def print_formations() -> None:
 
 
 def resolve_formation(name: str, graph: str) -> DesiredFormation:
-    """Load the formation that the arguments of the command mean.
+    """Load the formation of a name in the library, or of a file of points.
 
-    Args:
-        name: Name in the library, or a file of points.
-        graph: "own", "complete", or a file of pairs of vertices.
+    Its graph is the "own" one, the "complete" one, or of a file of pairs of vertices.
 
     Raises:
         ValueError: There is no such formation or graph.
@@ -58,13 +56,7 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
 def design_and_save(
     formation: DesiredFormation, method: str, out: Path, joint: bool = False
 ) -> None:
-    """Design gains, print their certificate, and write them, whole or not at all.
-
-    Args:
-        formation: Shape and graph.
-        method: One of `METHODS`.
-        out: File to write.
-        joint: Scale both directions to one rate, see `design_gains`.
+    """Design gains, see `design_gains`, print their certificate, and write them into a file.
 
     Raises:
         ValueError: There is no such method.

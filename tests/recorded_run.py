@@ -7,7 +7,7 @@ import numpy as np
 from dynamics import DoubleIntegrator, discretize_zoh
 from problems.assignment import solve_assignment
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.check import check_run
+from sato.reconfiguration.check.promises import check_run
 from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame

@@ -9,7 +9,8 @@ import pytest
 from recorded_run import record_run, with_data
 
 from sato.check.common import find_closest_approach
-from sato.connectivity.check import ConnectivityRecord, check_run
+from sato.connectivity.check.promises import check_run
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.loop import simulate
 from sato.connectivity.system import SYSTEM, describe_progress
 from sato.scenario.file import read

@@ -13,7 +13,7 @@ from pictures import check_layout, draw, line
 from recorded_run import record_run
 
 from problems.interaction_graph import interaction_graph
-from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.controller import evaluate_potential, negative_slope, repulsion_gain
 from sato.connectivity.figures import FIGURES
 from sato.connectivity.figures.time_series import (

@@ -9,7 +9,7 @@ from recorded_run import with_data
 from test_connectivity_check import QUADROTOR, SHAKEN, broken, flown
 
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
-from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.obstacles import (
     Box,
     Obstacles,

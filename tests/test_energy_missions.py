@@ -19,9 +19,9 @@ from problems.solvers import SolverAdapter, load_adapters, solve_clarabel, verif
 from problems.solvers.adapter import SDP
 from problems.solvers.verified import VerifiedSolver
 from sato.reconfiguration.assignment import compute_epsilon
-from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.check.fuel import compute_step_energy
 from sato.reconfiguration.check.promises import check_fuel
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 
 
 def crossing_rows(count=4, **changes):

@@ -10,8 +10,8 @@ from formation_runs import FIVE, dataset, fly
 
 import sato
 from problems.alignment import compute_shape_error
-from sato.formation.check import FormationRecord, check_run
-from sato.formation.check.recorded import summarize_flight
+from sato.formation.check.promises import check_run
+from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
 

@@ -12,7 +12,7 @@ from pictures import check_layout, draw, line
 from scipy.spatial.distance import pdist
 
 from problems.alignment import Pose, compute_shape_error
-from sato.formation.check import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.figures import AUCTION_FIGURES, FIGURES, make_figures
 from sato.formation.figures.time_series import VEHICLE_DIAMETER, is_leg_active, phase_spans
 from sato.formation.figures.trajectories import SHOWN_TIME

@@ -28,9 +28,9 @@ from problems.conic import Infeasible
 from problems.transfer import TransferProblem
 from sato.check.common import EventLog, check_times
 from sato.cli import app
-from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.check.fuel import compute_agent_bounds, compute_step_fuel
 from sato.reconfiguration.check.legs import check_assignment
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 
 STATES = ["position", "velocity"]
 

@@ -13,7 +13,6 @@ from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2, invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
-from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
 from sato.reconfiguration.check.promises import (
     check_applied_control,
@@ -21,6 +20,7 @@ from sato.reconfiguration.check.promises import (
     check_propagation,
     check_speed_limit,
 )
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.estimator import GATE_SIGMAS
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate

@@ -24,8 +24,8 @@ from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
 from sato.figures.style import ISOLATED, marker_style, style_components
-from sato.reconfiguration.check import ReconfigurationRecord
 from sato.reconfiguration.check.fuel import compute_step_fuel
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import interpolate_positions

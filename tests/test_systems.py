@@ -13,8 +13,8 @@ from test_cli import call, sentence
 
 import sato
 from dynamics.units import Length
-from sato.check import Report, common
-from sato.check.report import expect_below
+from sato.check import common
+from sato.check.report import Report, expect_below
 from sato.interfaces import (
     Alive,
     Component,

@@ -165,11 +165,9 @@ class Campaign(Definition):
         return self.trials * self.points
 
     def trial(self, row: int, folder: str = "") -> Trial:
-        """Return the run of a row, from 0.
+        """Return the run of a row, from 0, for a folder of the campaign.
 
-        Args:
-            row: Trials follow each other, and in each the points of the grid, the last key first.
-            folder: Folder of the campaign.
+        Trials follow each other, and in each the points of the grid, the last key first.
         """
         number, point = divmod(row, self.points)
         first, second, *indices = (int(index) for index in np.unravel_index(point, self._shape))

@@ -176,13 +176,14 @@ def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -
     found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
     if schedule is None:
         schedule = Schedule.from_events(alive[0], len(alive), found)
-    odd = _count_differences(found, schedule.events)
+    odd = count_differences(found, schedule.events)
     odd += int((schedule.alive != alive).sum())
     text = "instants or events of an agent alive or not against the scenario"
     return expect_none("alive", odd, text)
 
 
-def _count_differences(found: Iterable[object], expected: Iterable[object]) -> int:
+def count_differences(found: Iterable[object], expected: Iterable[object]) -> int:
+    """Count what is in one of two collections and not in the other, as often as it is."""
     a, b = Counter(found), Counter(expected)
     return (a - b).total() + (b - a).total()
 

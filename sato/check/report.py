@@ -21,10 +21,7 @@ class Promise(NamedTuple):
 def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
     """Promise that there are no violations, described in the plural.
 
-    Args:
-        name: Name of the promise.
-        violations: Their number, or an array that is true at each.
-        text: Description.
+    Violations are a number, or an array that is true at each.
     """
     count = int(np.sum(violations))
     return Promise(name, not count, float(count), 0.0, f"{count or 'no'} {text}")

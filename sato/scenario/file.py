@@ -46,9 +46,6 @@ class Mission(Definition):
 
         The same state of the generator gives the same mission; a drawn mission stays as it is.
 
-        Args:
-            rng: Draws starts, formations, obstacles and parameters.
-
         Raises:
             InputError: The mission cannot be flown.
         """

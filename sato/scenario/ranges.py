@@ -40,11 +40,7 @@ def check_range(value: Any) -> Any:
 
 
 def check_memory(agents: int, demand: Callable[[int], float]) -> None:
-    """Refuse a swarm that takes more memory than the machine has.
-
-    Args:
-        agents: Number of agents.
-        demand: Memory that a mission takes by its number of agents, estimated [byte].
+    """Refuse a swarm that takes more memory than the machine has, by a demand of agents [byte].
 
     Raises:
         InputError: It does; says how many agents fit.

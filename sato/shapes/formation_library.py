@@ -124,11 +124,7 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
 
     Neither the order of the two matters nor an edge that is repeated. A first line may name the
-    columns; empty lines and lines that begin with # are skipped.
-
-    Args:
-        path: The file.
-        count: Number of vertices.
+    columns; empty lines and lines that begin with # are skipped. The count is that of vertices.
 
     Raises:
         ValueError: The file cannot be read, or a line is not an edge between two of the vertices.
@@ -167,7 +163,7 @@ def random_dense_graph(count: int, removals: int, rng: Generator) -> Bool[Array,
 def random_sparse_graph(
     points: Float[Array, "n d"], share: float, rng: Generator
 ) -> Bool[Array, "n n"]:
-    """Return a random graph with a share of all edges that has stabilizing gains.
+    """Return a random graph with a share of all n (n − 1) / 2 edges that has stabilizing gains.
 
     The graph contains a ring in which the two vertices before and the two after each are its
     neighbors; the other edges are drawn. For the triangle of each vertex and the two before it,
@@ -177,13 +173,9 @@ def random_sparse_graph(
     heights, the ring alternates between low and high points, and fewer than half of the points
     may have the same height, or all of them.
 
-    Args:
-        points: Points of the formation, at least four [m].
-        share: Share of the n (n − 1) / 2 edges of the complete graph.
-        rng: Generator for the ring and the other edges.
-
     Raises:
-        ValueError: The share is more than all edges or less than the ring.
+        ValueError: There are less than four points, or the share is more than all edges or less
+            than the ring.
     """
     n = len(points)
     if n < 4:

@@ -49,12 +49,7 @@ def golden_ratio_order(count: int) -> Int[Array, " count"]:
 
 
 def _squared_distances(axes: Float[Array, "d k"], point: Float[Array, " d"]) -> Float[Array, " k"]:
-    total = np.zeros(axes.shape[1])
-    for axis, value in zip(axes, point, strict=True):
-        difference = axis - value
-        difference *= difference
-        total += difference
-    return total
+    return np.asarray(((axes - point[:, None]) ** 2).sum(axis=0))
 
 
 def _argmax_with_ties(squared: Float[Array, " k"]) -> int:

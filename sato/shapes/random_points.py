@@ -28,12 +28,8 @@ def sample_separated(
 ) -> Float[Array, "count d"]:
     """Draw points one by one, each again until it is far enough from the others.
 
-    Args:
-        draw: Function that returns a random point.
-        count: Number of points.
-        separation: Least distance between two of them, or to an occupied point [m].
-        occupied: Points that are there already.
-        axes: Number of coordinates, from the first on, in which distance is measured.
+    The separation is the least distance between two of them, or to an occupied point [m]. It is
+    measured along so many axes, from the first on.
 
     Raises:
         NoRoomError: `MAX_REJECTIONS` draws in a row were too close.
@@ -56,14 +52,8 @@ def sample_positions(
 ) -> Float[Array, "count d"]:
     """Draw positions with a least distance in a box of two or three sides from the origin on [m].
 
-    The trials of [Lusk2020, sec. V-A] start 30 vehicles in 20 m × 20 m, 1.5 m apart.
-
-    Args:
-        count: Number of positions.
-        box: Sides of the box [m].
-        separation: Least distance [m].
-        rng: Random generator.
-        axes: Number of axes, from the first on, in which distance is measured; all without it.
+    The trials of [Lusk2020, sec. V-A] start 30 vehicles in 20 m × 20 m, 1.5 m apart. Distance is
+    measured along so many axes, from the first on, or else along all.
 
     Raises:
         ValueError: There is no room.

@@ -234,15 +234,10 @@ def read_points(path: Path) -> Float[Array, "k d"]:
 
 
 def read_rows(path: Path, content: str, header: str) -> list[tuple[int, list[str]]]:
-    """Read a CSV file without its header, empty lines and comments.
+    """Read the cells of a CSV file, without header, empty lines and comments, by line number.
 
-    Args:
-        path: The file.
-        content: Name of the rows in messages.
-        header: Pattern of the cells in a first line that names the columns.
-
-    Returns:
-        The number of each line in the file, and its cells.
+    The content is the name of the rows in messages, and the header a pattern of the cells in a
+    first line that names the columns.
 
     Raises:
         ValueError: There is no such file, it is not text, or it has no rows.

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.figures import laws, time_series, trajectories
 from sato.connectivity.mission import Connectivity
 from sato.interfaces import FigureFactories

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from problems.interaction_graph import cosine_ramp, range_weight
-from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.controller import evaluate_potential, negative_slope, repulsion_gain
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED, SKY

@@ -7,8 +7,7 @@ from jaxtyping import Int
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from sato.connectivity.check import ConnectivityRecord
-from sato.connectivity.check.recorded import nearest_agent_distance
+from sato.connectivity.check.recorded import ConnectivityRecord, nearest_agent_distance
 from sato.connectivity.obstacles import obstacle_distances
 from sato.figures import panels
 from sato.figures.axes import add_legend, add_titles

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Rectangle, Wedge
 from numpy import ndarray as Array
 
-from sato.connectivity.check import ConnectivityRecord
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.obstacles import Obstacles
 from sato.figures.axes import AxisBounds, add_axes, add_legend, add_titles, draw_ends, draw_paths
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY

@@ -1,6 +1,5 @@
 """Promises of a formation flight, each checked by recomputing it."""
 
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -141,9 +140,8 @@ def check_limits(record: FormationRecord) -> Iterator[Promise]:
 def check_legs(record: FormationRecord) -> Promise:
     """Check legs, auctions and gridlocks against the recorded commands and avoidance."""
     kinds = ("leg_start", "leg_end", "given_up", "gridlock", "gridlock_end", "auction")
-    found = Counter((k, e["kind"], int(e["leg"])) for k, e in record.events.of_kind(*kinds))
-    expected = Counter(record.replay.events)
-    odd = ((found - expected) + (expected - found)).total()
+    found = [(k, e["kind"], int(e["leg"])) for k, e in record.events.of_kind(*kinds)]
+    odd = common.count_differences(found, record.replay.events)
     odd += int((record.leg_index != record.replay.leg).sum())
     return expect_none("legs", odd, "entries of legs and their events that commands do not give")
 

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from sato.formation.check import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.figures import gains, time_series, trajectories
 from sato.formation.mission import Formation
 from sato.interfaces import FigureFactories

@@ -14,7 +14,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
 from sato.figures.axes import add_titles
 from sato.figures.style import DARK_GRAY
-from sato.formation.check import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 
 # From pale to dark, distinct to color-blind readers, and all distinct from white.
 COLORMAP = ListedColormap(colormaps["YlGnBu"](np.linspace(0.15, 1, 256)))

@@ -12,7 +12,7 @@ from problems.alignment import compute_shape_error
 from sato.figures import panels
 from sato.figures.axes import add_legend
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, PURPLE
-from sato.formation.check import FormationRecord
+from sato.formation.check.recorded import FormationRecord
 from sato.formation.supervisor import Phase
 
 VEHICLE_DIAMETER = 0.5  # of a vehicle [Lusk2020, sec. V] [m]

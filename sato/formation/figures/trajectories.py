@@ -16,8 +16,7 @@ from problems.desired_formation import DesiredFormation
 from sato.figures import panels
 from sato.figures.axes import AxisBounds, add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, ORANGE, RED, SKY
-from sato.formation.check import FormationRecord
-from sato.formation.check.recorded import FormationLegRecord
+from sato.formation.check.recorded import FormationLegRecord, FormationRecord
 from sato.formation.figures.time_series import (
     VEHICLE_DIAMETER,
     formation_name,

@@ -3,7 +3,7 @@
 from functools import partial
 
 from sato.interfaces import FigureFactories
-from sato.reconfiguration.check import ReconfigurationRecord
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures import drifts, half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import has_chief
