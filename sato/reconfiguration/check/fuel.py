@@ -1,10 +1,10 @@
 """Fuel and energy of a run, and lower bounds on them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import solve_assignment
@@ -114,6 +114,8 @@ def compute_energy_shortfall(
 def _make_leg_costs(
     record: ReconfigurationRecord, leg: LegRecord, objective: "Objective", with_limits: bool = True
 ) -> "_LegCosts | None":
+    from problems.auction_cost import compute_energies, compute_transfer_costs
+
     mission, agents = record.mission, np.flatnonzero(leg.alive)
     targets, first = record.leg_targets(leg), leg.entry_index[agents]
     held = leg.target_index[agents]
@@ -132,7 +134,24 @@ def _make_leg_costs(
         or ((mission.fuel_norm, mission.control_norm) != (1, "inf") and is_too_large)
     ):
         return None
-    return _LegCosts(record, leg, targets, m, held, objective, with_limits)
+    start, given = record.state[first, agents], agents if mission.assignment == "given" else None
+    cost = np.zeros((len(agents), len(targets)))
+    costs = _LegCosts(start, targets, m, held, given, cost, np.ones(cost.shape, dtype=bool), {})
+    for k in np.unique(first):
+        together = np.flatnonzero(first == k)
+        for own in mission.group_by_limits(agents[together]):
+            rows, model = together[own], record.model[slice(k, leg.end_index)]
+            if not with_limits:
+                cost[rows] = compute_energies(model, start[rows], targets)
+                continue
+            agent = int(agents[rows[0]])
+            most = mission.control_limit(agent).bound
+            problem = mission.make_transfer(model, agent, max_control=most, objective=objective)
+            found = compute_transfer_costs(problem, start[rows], targets)
+            cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
+            costs.is_exact[rows] = found.is_exact
+            costs.problems |= dict.fromkeys(rows.tolist(), problem)
+    return costs
 
 
 def compute_agent_bounds(record: ReconfigurationRecord) -> Float[Array, " agents"]:
@@ -177,44 +196,18 @@ def _correction_cost(
     return cost
 
 
+@dataclass(eq=False)
 class _LegCosts:
     """Fuel or energy of all pairs of survivors and targets, lower bounds until solved."""
 
-    def __init__(
-        self,
-        record: ReconfigurationRecord,
-        leg: LegRecord,
-        targets: Float[Array, "targets n"],
-        target_count: int,
-        held: Int[Array, " survivors"],
-        objective: "Objective",
-        with_limits: bool,
-    ) -> None:
-        from problems.auction_cost import compute_energies, compute_transfer_costs
-
-        mission, first = record.mission, leg.entry_index[leg.alive]
-        agents = np.flatnonzero(leg.alive)
-        self.start, self.targets = record.state[first, agents], targets
-        self.target_count, self.held, self.agents = target_count, held, agents
-        self.is_given = mission.assignment == "given"
-        self.cost = np.zeros((len(first), len(targets)))
-        self.is_exact = np.zeros(self.cost.shape, dtype=bool)
-        self.problems: dict[int, TransferProblem] = {}
-        for k in np.unique(first):
-            together = np.flatnonzero(first == k)
-            for own in mission.group_by_limits(agents[together]):
-                rows = together[own]
-                model, one = record.model[slice(k, leg.end_index)], int(agents[rows[0]])
-                if not with_limits:
-                    self.cost[rows] = compute_energies(model, self.start[rows], targets)
-                    self.is_exact[rows] = True
-                    continue
-                most = mission.control_limit(one).bound
-                problem = mission.make_transfer(model, one, max_control=most, objective=objective)
-                found = compute_transfer_costs(problem, self.start[rows], targets)
-                self.cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
-                self.is_exact[rows] = found.is_exact
-                self.problems |= dict.fromkeys(rows.tolist(), problem)
+    start: Float[Array, "survivors n"]
+    targets: Float[Array, "targets n"]
+    target_count: int  # of the first targets, among which the optimum is
+    held: Int[Array, " survivors"]
+    given: Int[Array, " survivors"] | None  # where the mission assigns them
+    cost: Float[Array, "survivors targets"]
+    is_exact: Bool[Array, "survivors targets"]
+    problems: "dict[int, TransferProblem]"
 
     def solve(self, i: int, j: int) -> float:
         """Return the cost of a pair; infinite where the target is out of reach."""
@@ -236,7 +229,7 @@ class _LegCosts:
         """Sum the costs of the targets held and of the best assignment of the first m targets."""
         totals = [float(np.sum(self.solve_each(chosen))) for chosen in (self.held, self._assign())]
         held, optimum = (total if np.isfinite(total) else np.nan for total in totals)
-        given = float(np.sum(self.solve_each(self.agents))) if self.is_given else optimum
+        given = optimum if self.given is None else float(np.sum(self.solve_each(self.given)))
         return AssignmentCost(given if np.isfinite(given) else np.nan, held, optimum)
 
     def _assign(self) -> Int[Array, " survivors"]:
