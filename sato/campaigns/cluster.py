@@ -109,25 +109,18 @@ def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:
 def _fly_on_worker(
     function: Callable[[Trial], Outcome], trial: Trial, time_limit: float | None, topic: str
 ) -> Outcome:
-    with _end_after(time_limit, topic, f"{topic}-{trial.row}"):
-        return function(trial)
-
-
-@contextmanager
-def _end_after(time_limit: float | None, topic: str, key: str) -> Iterator[None]:
-    """End this process, and tell the scheduler why, where a block takes too long."""
+    """Fly a trial; end this process, and tell the scheduler why, where that takes too long."""
     from distributed import get_worker
 
     if time_limit is None:
-        yield
-        return
+        return function(trial)
     worker = get_worker()
     if worker.nanny is None:  # nothing would start it again
         reason = "needs workers with nannies, as `dask worker` has"
         raise InputError("campaign.time_limit_s", reason)
 
     def end() -> None:
-        worker.log_event(topic, key)
+        worker.log_event(topic, f"{topic}-{trial.row}")
         sleep(FAREWELL)
         os._exit(1)
 
@@ -137,7 +130,7 @@ def _end_after(time_limit: float | None, topic: str, key: str) -> Iterator[None]
     # The timer waits for compiled code that holds the interpreter's lock; this one does not.
     faulthandler.dump_traceback_later(time_limit + 10 * FAREWELL, exit=True)
     try:
-        yield
+        return function(trial)
     finally:
         timer.cancel()
         faulthandler.cancel_dump_traceback_later()

@@ -100,11 +100,6 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | N
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 
 
-def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:
     if not (folder / TABLE_FILE).exists():
         return CampaignTable.create(folder, campaign)
@@ -147,7 +142,9 @@ def _check_same(campaign: Campaign, table: CampaignTable, allow_version: bool) -
 @contextmanager
 def _connected(scheduler: str | None, workers: int | None) -> Iterator[Callable[..., Flights]]:
     if scheduler is None:
-        yield partial(fly_locally, workers or available_cores())
+        has_affinity = hasattr(os, "sched_getaffinity")  # to the cores that this process may use
+        cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        yield partial(fly_locally, workers or cores)
         return
     from sato.campaigns.cluster import connect, fly_on_cluster
 

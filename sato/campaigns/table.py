@@ -232,13 +232,9 @@ class CampaignTable:
 
     def cells(self, trial: Trial, outcome: Outcome) -> dict[str, Any]:
         """Return the cells of the row of a trial; a name that is taken gets its origin in front."""
-        cells = {key: as_cell(value) for key, value in outcome.items() if key in _COLUMNS}
-        cells |= {
-            "row": trial.row,
-            "seed": trial.seed,
-            "parameters": json.dumps(trial.parameters, default=json_default),
-        }
-        cells.setdefault("version", own_version())
+        known = {key: as_cell(value) for key, value in outcome.items() if key in _COLUMNS}
+        cells = {"version": own_version()} | known | {"row": trial.row, "seed": trial.seed}
+        cells["parameters"] = json.dumps(trial.parameters, default=json_default)
         cells["scenario"] = trial.scenario_name
         if outcome.get("scenario") is not None:
             cells["scenario_hash"] = digest(outcome["scenario"])

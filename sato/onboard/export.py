@@ -69,13 +69,11 @@ def export_c(
     with replace_atomically(out) as folder, as_file(files("sato.onboard") / "c") as sources:
         shutil.copytree(sources, folder)
         sizes = generate_solver(problem.program, folder / "generated")
+        versions = version("sato-swarm"), version("cvxpygen")
         for name, text in (
             ("sato_model.h", format_model_header(problem.program, sizes)),
             ("sato_numbers.h", format_data_header(problem.program)),
-            (
-                "README.md",
-                README.format(describe(problem), version("sato-swarm"), version("cvxpygen")),
-            ),
+            ("README.md", README.format(describe(problem), *versions)),
         ):
             (folder / name).write_text(text, encoding="utf-8")
     return problem

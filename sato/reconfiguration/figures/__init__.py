@@ -6,7 +6,6 @@ from sato.interfaces import FigureFactories
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures import drifts, half_space, measures, snapshots
 from sato.reconfiguration.figures.animation import SwarmAnimation
-from sato.reconfiguration.figures.scene import has_chief
 from sato.reconfiguration.mission import Reconfiguration
 from sato.run_data import RunData
 
@@ -28,7 +27,7 @@ ORBIT_FIGURES = {
 def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     """Prepare the figures of a run; those of `ORBIT_FIGURES` only where it has a chief."""
     record = ReconfigurationRecord.from_data(data, mission)
-    drawn = FIGURES | ORBIT_FIGURES if has_chief(record) else FIGURES
+    drawn = FIGURES if record.variables.chief is None else FIGURES | ORBIT_FIGURES
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}

@@ -55,10 +55,9 @@ def _draw_plane(ax: Any, flown: FlownDrifts, row: int) -> None:
     others = np.delete(np.arange(len(drifts.path)), row)
     for path in drifts.path[others]:
         ax.plot(*_trace(path), color=LIGHT_GRAY, lw=0.7, label="others, as planned")
-    normalize = Normalize(0, T)
     lines = [_trace(drifts.drifts[row, horizon.step == k]).T for k in range(1, T)]
-    shades = LineCollection(lines, lw=0.6, cmap=COLORS, norm=normalize, array=np.arange(1, T))
-    ax.add_collection(shades)
+    style: dict[str, Any] = {"cmap": COLORS, "norm": Normalize(0, T), "array": np.arange(1, T)}
+    ax.add_collection(LineCollection(lines, lw=0.6, **style))
     ax.plot(*_trace(drifts.path[row, :T]), color=BLUE, lw=1.6, label="with thrust")
     ax.plot(0, 0, marker="+", ms=7, color=DARK_GRAY, ls="", label="chief")
     ax.autoscale_view()
@@ -83,15 +82,8 @@ def _draw_distances(
         ]
         least = np.array([np.nan, *(np.nan if one is None else one.distance for one in found)])
         counts = np.arange(len(times)) > first
-        ax.plot(
-            times,
-            np.where(counts, least, np.nan),
-            color=BLUE,
-            lw=0.8,
-            alpha=0.6,
-            label="after its first thrust",
-        )
-        before = np.where(counts, np.nan, least)
+        before, after = np.where(counts, np.nan, least), np.where(counts, least, np.nan)
+        ax.plot(times, after, color=BLUE, lw=0.8, alpha=0.6, label="after its first thrust")
         ax.plot(times, before, color=GRAY, lw=0.8, ls=":", label="before it")
     asked = record.mission.passive_safety
     assert asked is not None

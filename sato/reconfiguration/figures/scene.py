@@ -43,7 +43,7 @@ class Scene:
         d = record.axes
         everything = Projection(tuple(range(d)), ("x", "y", "z")[:d])
         self.record = record
-        self.view = view or (ORBITAL_PLANE if has_chief(record) else everything)
+        self.view = view or (everything if record.variables.chief is None else ORBITAL_PLANE)
         self.leg_names = read_leg_names(record)
         self.legs = record.leg_records
         parts = np.arange(POINTS_PER_STEP * (len(record.time) - 1) + 1) / POINTS_PER_STEP
@@ -98,11 +98,6 @@ class Scene:
         targets = targets[np.isfinite(targets).all(axis=1)]
         count = int(self.record.variables.targets_believed[leg].max(initial=0))
         return self.view.project(targets[: count or len(targets)])
-
-
-def has_chief(record: ReconfigurationRecord) -> bool:
-    """Tell whether the swarm moves about a chief."""
-    return record.mission.flown_plant.chief_elements(0.0) is not None
 
 
 def read_leg_names(record: ReconfigurationRecord) -> list[str]:
