@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         TschaunerHempel,
     )
     from problems import GainMatrix, Infeasible, Trajectory, TransferProblem, Unsolved, design_gains
-    from sato.campaigns.api import campaign
+    from sato.campaigns.engine import campaign
     from sato.connectivity.mission import AgentLoss, Connectivity
     from sato.formation.leg import FormationLeg
     from sato.formation.mission import Formation
@@ -56,7 +56,7 @@ _PUBLIC = {
         "NonlinearModel NonlinearPlant Orbit Plant SchweighartSedwick SymbolicModel TschaunerHempel"
     ),
     "problems": "GainMatrix Infeasible Trajectory TransferProblem Unsolved design_gains",
-    "sato.campaigns.api": "campaign",
+    "sato.campaigns.engine": "campaign",
     "sato.connectivity.mission": "AgentLoss Connectivity",
     "sato.formation.leg": "FormationLeg",
     "sato.formation.mission": "Formation",
