@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +65,6 @@ def machine_memory() -> float:
         limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     except (AttributeError, ValueError, OSError):  # not on Windows
         return float("inf")
-    try:
+    with suppress(OSError, ValueError):  # no group, or "max"
         limits.append(float(CONTROL_GROUP_LIMIT.read_text()))
-    except (OSError, ValueError):  # no group, or "max"
-        pass
     return min(limits)

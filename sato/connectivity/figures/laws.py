@@ -33,12 +33,9 @@ def plot_weights(record: ConnectivityRecord) -> Figure:
     by_range, by_angle, by_views, one_sided = axes.ravel()
     d = np.linspace(0, 1.1 * sight.d_max, GRID_POINTS)
     by_range.plot(d, range_weight(d, sight), color=BLUE, lw=1.5)
-    for level, name in (
-        (sight.d_min, "d$_{min}$"),
-        (sight.d_near, "D$_1$"),
-        (sight.d_far, "D$_2$"),
-        (sight.d_max, "d$_{max}$"),
-    ):
+    names = "d$_{min}$", "D$_1$", "D$_2$", "d$_{max}$"
+    levels = sight.d_min, sight.d_near, sight.d_far, sight.d_max
+    for name, level in zip(names, levels, strict=True):
         _mark_level(by_range, level, f"{name}\n{level:g} m")
     by_range.set(xlabel="distance [m]", ylabel="γ$_{ij}$", xlim=(0, d[-1]), ylim=(0, None))
 
@@ -92,10 +89,7 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
     potential, repulsion = record.mission.potential, record.mission.repulsion
     figure = Figure(figsize=(9.6, 3.7), layout="constrained")
     v, slope, away = figure.subplots(1, 3)
-    limits = {
-        f"λ$_2^{{min}}$\n{potential.lambda2_min:g}": potential.lambda2_min,
-        f"λ$_2^{{max}}$\n{potential.lambda2_max:g}": potential.lambda2_max,
-    }
+    limits = {"λ$_2^{min}$": potential.lambda2_min, "λ$_2^{max}$": potential.lambda2_max}
     lambda2 = record.frames.lambda2
     for ax, law, name in (
         (v, evaluate_potential, "V(λ$_2$)"),
@@ -107,11 +101,8 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
     if potential.strength > 0:
         least = negative_slope(SLOPE_RANGE * potential.lambda2_max, potential)
         slope.set(yscale="log", ylim=(least, None))
-    limits = {
-        f"nearest\n{repulsion.min_distance:g} m": repulsion.min_distance,
-        f"farthest\n{repulsion.max_distance:g} m": repulsion.max_distance,
-    }
-    _draw_curve(away, lambda d: d * repulsion_gain(d, repulsion), limits)
+    limits = {"nearest": repulsion.min_distance, "farthest": repulsion.max_distance}
+    _draw_curve(away, lambda d: d * repulsion_gain(d, repulsion), limits, " m")
     nearest = min(record.min_separation, record.min_obstacle_distance)
     away.axvspan(nearest, away.get_xlim()[1], **RUN_RANGE_STYLE)
     away.axhline(record.mission.limits.speed, color=RED, ls="--", label="limit of the command")
@@ -122,12 +113,14 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
     return figure
 
 
-def _draw_curve(ax: Any, law: Callable[[float], float], limits: dict[str, float]) -> None:
+def _draw_curve(
+    ax: Any, law: Callable[[float], float], limits: dict[str, float], unit: str = ""
+) -> None:
     low, high = limits.values()
     size = high - low
     x = np.linspace(low + ASYMPTOTE_GAP * size, high + 0.15 * size, CURVE_POINTS)
     y = np.array([law(each) for each in x])
     ax.plot(x, y, color=BLUE, lw=1.5, label="of this mission")
     for name, level in limits.items():
-        _mark_level(ax, level, name)
+        _mark_level(ax, level, f"{name}\n{level:g}{unit}")
     ax.set(xlim=(low - 0.06 * size, x[-1]), ylim=(0, max(float(y.max()), 1e-9)))

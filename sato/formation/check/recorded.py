@@ -171,9 +171,8 @@ def received_bit_rate(record: FormationRecord) -> float:
     """Return the bits a second that a vehicle receives, mean of all over the whole flight."""
     mission, radio = record.mission, record.mission.radio
     degree = [float(gains.formation.graph.sum(axis=1).mean()) for gains in mission.gains]
-    bits = 0.0
-    for leg in record.leg_index[1:]:
-        bits += degree[leg] * radio.localization_rate * mission.frame_period
+    poses = sum(degree[leg] for leg in record.leg_index[1:])
+    bits = poses * radio.localization_rate * mission.frame_period
     for _, event in record.events.of_kind("auction"):
         rounds = int(event["rounds"])
         bits += degree[event["leg"]] * radio.count_auction_bits(mission.agents, rounds)

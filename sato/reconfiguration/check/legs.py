@@ -98,11 +98,8 @@ def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
     wrong += int((labels[0] != labels[1]).sum())
     if leg.step_count:
         last = leg.end_index - 1
-        for held, frame in (
-            (leg.target_index, frames.target_index[last]),
-            (leg.target_count, frames.target_count[last]),
-        ):
-            wrong += int((held != frame)[leg.alive].sum())
+        wrong += int((leg.target_index != frames.target_index[last])[leg.alive].sum())
+        wrong += int((leg.target_count != frames.target_count[last])[leg.alive].sum())
     return wrong
 
 

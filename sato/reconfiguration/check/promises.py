@@ -211,31 +211,24 @@ def check_targets(record: ReconfigurationRecord) -> Promise:
 
 def check_separation(record: ReconfigurationRecord) -> Promise:
     """Check that no two agents come closer than R_col, at samples or between them."""
-    if record.mission.has_own_separations:
-        return _check_relative_separation(record)
-    found, error = record.separations
-    radius = record.mission.largest_separation
-    samples = sampled_separations(record.frames.position, record.frames.alive)
-    least = min(found.minimum.distance, float(samples.min()))
-    i, j = found.minimum.pair
-    k = max(found.minimum.piece, 0) // record.pieces_per_step
-    allowed = radius * (1 - 1e-9)
-    text = f"{least:.9g} m between agents {i} and {j} in step {k}, {radius:g} m allowed"
-    if error:
-        text += f" (the trajectory between samples is known to {error:.1g} m)"
+    mission, frames, radius = record.mission, record.frames, record.mission.largest_separation
+    is_relative = mission.has_own_separations
+    found, error = record.relative_separations if is_relative else record.separations
+    (i, j), k = found.minimum.pair, max(found.minimum.piece, 0) // record.pieces_per_step
+    where = f"between agents {i} and {j} in step {k}"
+    if is_relative:
+        position = mission.scale_separations(frames.position)
+        sampled, limit = _least_relative(position, frames.alive, mission.radii), 1.0
+        what = "(R_i + R_j)/2" if mission.separation_axes is None else "the ellipsoid"
+        text = f"of {what} {where}, 1 allowed"
+    else:
+        sampled, limit = sampled_separations(frames.position, frames.alive).min(), radius
+        text = f"m {where}, {radius:g} m allowed"
+        if error:
+            text += f" (the trajectory between samples is known to {error:.1g} m)"
+    least, allowed = min(found.minimum.distance, float(sampled)), limit * (1 - 1e-9)
+    text = f"{least:.9g} {text}"
     return Promise("separation", bool(least - error >= allowed), least, allowed, text)
-
-
-def _check_relative_separation(record: ReconfigurationRecord) -> Promise:
-    found, error = record.relative_separations
-    frames, radii = record.frames, record.mission.radii
-    position = record.mission.scale_separations(frames.position)
-    least = min(found.minimum.distance, _least_relative(position, frames.alive, radii))
-    i, j = found.minimum.pair
-    k = max(found.minimum.piece, 0) // record.pieces_per_step
-    what = "(R_i + R_j)/2" if record.mission.separation_axes is None else "the ellipsoid"
-    text = f"{least:.9g} of {what} between agents {i} and {j} in step {k}, 1 allowed"
-    return Promise("separation", bool(least - error >= 1 - 1e-9), least, 1 - 1e-9, text)
 
 
 def _least_relative(

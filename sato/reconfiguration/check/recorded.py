@@ -203,23 +203,18 @@ class ReconfigurationRecord(
         the interpolation error: it is bounded where the plant is a time-invariant linear model
         (`interpolation_error_bound`), and measured elsewhere (`sampled_interpolation_error`).
         """
-        return self._compute_separations(None)
+        x, alive, adrift, h, error = self.pieces
+        p, v = np.split(x, 2, axis=-1)
+        return trajectory_geometry.separations(p, v, alive, h, is_adrift=adrift), 2 * error
 
     @cached_property
     def relative_separations(self) -> tuple[trajectory_geometry.Separations, float]:
         """The same, relative to the distance that each pair keeps in its direction."""
-        found, error = self._compute_separations(self.mission.radii)
-        return found, error / self.mission.least_separation
-
-    def _compute_separations(
-        self, radii: Float[Array, " agents"] | None
-    ) -> tuple[trajectory_geometry.Separations, float]:
-        d, (x, alive, adrift, h, error) = self.axes, self.pieces
-        p, v = x[..., :d], x[..., d:]
-        if radii is not None:
-            p, v = self.mission.scale_separations(p), self.mission.scale_separations(v)
-            error = error * max(self.mission.separation_scale or (1.0,))
-        return trajectory_geometry.separations(p, v, alive, h, radii, adrift), 2 * error
+        mission, (x, alive, adrift, h, error) = self.mission, self.pieces
+        p, v = map(mission.scale_separations, np.split(x, 2, axis=-1))
+        found = trajectory_geometry.separations(p, v, alive, h, mission.radii, adrift)
+        relative = max(mission.separation_scale or (1.0,)) / mission.least_separation
+        return found, 2 * error * relative
 
     @cached_property
     def pieces(self) -> "Pieces":
