@@ -27,11 +27,7 @@ PIPE_WIDTH = 10_000  # a file or a pipe has no width to which tables must be fit
 def show_mission_progress(
     progress_of: Callable[[MissionT, FrameT], MissionProgress],
 ) -> Iterator[Callable[[MissionT, FrameT], None]]:
-    """Show progress: a bar on a terminal or in a notebook, else a line a stage.
-
-    Yields:
-        A function to be called with the mission and each frame.
-    """
+    """Yield a function of mission and frame that shows progress: by a bar, or a line a stage."""
     console = Console(stderr=True)
     has_bar = sys.stderr.isatty() or console.is_jupyter
     text = "{task.fields[stage]}, step {task.completed} of {task.total}, {task.fields[details]}"

@@ -13,15 +13,10 @@ BATCH = 5000  # rows in memory at a time
 
 
 def export(table: CampaignTable, path: Path, format: str = "csv") -> Path:
-    """Write all runs of a campaign, a row a run, for other tools.
+    """Write all runs of a campaign for other tools, a row a run, and return the path.
 
-    Args:
-        table: Opened table of the campaign.
-        path: File; one that is there is replaced once all is written.
-        format: "csv" or "parquet"; what a run does not have is empty, or null.
-
-    Returns:
-        The path.
+    What a run does not have is empty, or null. A file that is there is replaced once all is
+    written. Formats are "csv" and "parquet".
 
     Raises:
         InputError: There is no such format, or pyarrow is not installed.

@@ -62,7 +62,9 @@ class CampaignTable:
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
         mode = "rw"  # SQLite writes beside a table in use, also to read it
-        if not (is_writer or os.access(folder, os.W_OK) or _has_journal(self.path)):
+        journal = Path(f"{self.path}-wal")
+        has_journal = journal.exists() and journal.stat().st_size > 0
+        if not (is_writer or os.access(folder, os.W_OK) or has_journal):
             mode = "ro&immutable=1"
         address = f"{self.path.resolve().as_uri()}?mode={mode}"
         with describe_errors(self.path):
@@ -308,11 +310,6 @@ def describe_errors(path: Path) -> Iterator[None]:
         elif "full" in text or "disk I/O" in text:
             text = f"nothing can be written: {text}"
         raise TableError(f"{path}: {text}; the rows in it are kept") from error
-
-
-def _has_journal(path: Path) -> bool:
-    journal = Path(f"{path}-wal")
-    return journal.exists() and journal.stat().st_size > 0
 
 
 def _quoted(name: str) -> str:

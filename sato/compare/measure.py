@@ -74,13 +74,8 @@ def measure_solvers(
     Solvers run in processes of their own, one at a time. A solver that takes longer than the
     patience of the plan is skipped from then on in that family, at that size and tolerance and at
     larger or tighter ones; a solve that takes ten times as long by the wall clock is ended and
-    counts as crashed.
-
-    Args:
-        plan: Problems, solvers and settings.
-        rng: Generator for the order of the solvers, drawn anew for each repeat.
-        progress: Function called after each family and tolerance, with the number of these that
-            are done, and of all.
+    counts as crashed. The order of the solvers is drawn anew for each repeat. Progress is called
+    after each family and tolerance, with the number of these that are done, and of all.
     """
     workers = [SolverProcess(solver, plan.patience) for solver in plan.solvers]
     measurements: list[Measurement] = []

@@ -45,17 +45,10 @@ def make_plan(
     patience: float | None = None,
     takes_all: bool = False,
 ) -> ComparisonPlan:
-    """Make a plan from names; an empty list takes all solvers and families.
+    """Make a plan from names; an empty list takes all known solvers, installed or not, or families.
 
-    Args:
-        known: Adapters of solvers, installed or not.
-        solvers: Names of solvers.
-        families: Names of families.
-        sizes: Sizes of the families; small if empty.
-        tolerances: Relative limits on residuals and gap; 1e-6 if empty.
-        repeats: As in `ComparisonPlan`.
-        patience: As in `ComparisonPlan`; 0.15 s if None, or 1 s with all.
-        takes_all: Take all sizes and tolerances where the lists are empty.
+    Without any, the size is small, the relative tolerance of residuals and gap is 1e-6, and the
+    patience is 0.15 s; all sizes, all tolerances and 1 s where the plan takes all.
 
     Raises:
         ValueError: There is no such name, a solver that is named is not installed or supports

@@ -30,11 +30,7 @@ FILES = ("accuracy.png", "machine.json", "measurements.csv", "profile.png")
 
 
 def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
-    """Compare solvers, print the tables, and write everything into a folder.
-
-    Returns:
-        Guarantees of the toolkit that the comparison violates.
-    """
+    """Compare solvers, print the tables, write everything into a folder, and return violations."""
     machine, console = describe_machine(plan.solvers), Console(highlight=False, markup=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH  # a file or a pipe has no width to which tables must be fitted

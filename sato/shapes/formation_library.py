@@ -58,12 +58,9 @@ def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> Desi
 def make_formation(
     points: Float[Array, "n d"], graph: Bool[Array, "n n"] | None = None, name: str = ""
 ) -> DesiredFormation:
-    """Make a formation of any points; flat ones get height 0.
+    """Make a formation of any points [m], as from `sato.shapes`; flat ones get height 0.
 
-    Args:
-        points: Positions in two or three coordinates [m], as from the shapes of `sato.shapes`.
-        graph: Adjacency matrix; the complete graph without it.
-        name: Name for tables and files.
+    Its graph is complete where there is no adjacency matrix. The name is for tables and files.
 
     Raises:
         ValueError: Points or graph make no formation.

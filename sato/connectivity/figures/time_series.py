@@ -90,18 +90,13 @@ def plot_distances(record: ConnectivityRecord) -> Figure:
     return _finish(figure, record)
 
 
-def find_stick_intervals(record: ConnectivityRecord) -> list[panels.Interval]:
-    """Find the intervals in which the stick commands a velocity."""
-    is_held = np.asarray(record.frames.stick.any(axis=1))
-    return [span for span in panels.find_intervals(record.frames.time, is_held) if span.value]
-
-
 def _finish(figure: Figure, record: ConnectivityRecord) -> Figure:
     """Shade while the stick is held, mark losses and splits, and add a legend."""
-    for span in find_stick_intervals(record):
-        panels.shade(figure.axes, span, STICK_COLOR, "stick held")
-    is_split = np.asarray((record.frames.component > 0).any(axis=1))
-    for span in panels.find_intervals(record.frames.time, is_split):
+    frames = record.frames
+    for span in panels.find_intervals(frames.time, frames.stick.any(axis=1)):
+        if span.value:
+            panels.shade(figure.axes, span, STICK_COLOR, "stick held")
+    for span in panels.find_intervals(frames.time, (frames.component > 0).any(axis=1)):
         if span.value:
             panels.shade(figure.axes, span, RED, "disconnected", ymin=0.97)
     losses = [event["time"] for _, event in record.events.of_kind("loss")]

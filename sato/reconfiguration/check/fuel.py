@@ -43,11 +43,8 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     less. By the model, its commanded controls would have ended elsewhere; the fuel that moves
     that end to the target, alone and limited by the control only, is as much as the plant can
     have saved (`correction_fuel`): while limits do not bind, the fuel of a transfer grows by
-    no more than the fuel of the difference.
-
-    Returns:
-        The bound; None where the leg did not end, an agent could not have arrived, or the
-        instance is too large for norms without a method for all pairs at once.
+    no more than the fuel of the difference. There is none where the leg did not end, an agent
+    could not have arrived, or the instance is too large for norms without a method for all pairs.
     """
     costs = _make_leg_costs(record, leg, "fuel")
     if costs is None:
