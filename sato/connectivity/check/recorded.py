@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
 from dynamics.vehicle import VehicleState, rotate_by_yaw
-from sato.check.common import common_summary, find_closest_approach, incomplete_reason
+from sato.check import common
 from sato.connectivity.loop import advance_vehicles
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.obstacles import min_obstacle_distance
@@ -25,7 +25,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     @cached_property
     def min_separation(self) -> float:
         """Least distance of two agents, between instants too; infinite for one [m]."""
-        return find_closest_approach(self.frames.position, self.frames.alive).distance
+        return common.find_closest_approach(self.frames.position, self.frames.alive).distance
 
     @cached_property
     def min_obstacle_distance(self) -> float:
@@ -80,20 +80,18 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         return CameraViews(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
     def summarize(self) -> dict[str, Any]:
-        """Summarize a run; a success has λ₂ above λ₂^min throughout."""
-        flight = self.summarize_flight()
-        is_connected = flight["lambda2_min"] > self.mission.potential.lambda2_min
-        success = is_connected and not incomplete_reason(self.attributes)
-        return common_summary(self.attributes, self.frames.alive) | {"success": success} | flight
+        """Summarize a run; a success has λ₂ above λ₂^min throughout.
 
-    def summarize_flight(self) -> dict[str, Any]:
-        """Summarize the frames of a run; quantities without a value are absent."""
-        frames = self.frames
+        Quantities without a value are absent.
+        """
+        frames, lambda2_min = self.frames, float(self.frames.lambda2.min())
+        is_connected = lambda2_min > self.mission.potential.lambda2_min
         sees, is_seen = frames.visibility, frames.visibility.transpose(0, 2, 1)
         lambda2_error = np.abs(frames.lambda2_estimate - frames.lambda2[:, None])
         yaw_error = np.abs(np.sin(frames.yaw_estimate_error / 2))  # as in [Bernard2023, Fig. 7]
-        summary = {
-            "lambda2_min": float(frames.lambda2.min()),
+        summary = common.common_summary(self.attributes, frames.alive) | {
+            "success": is_connected and not common.incomplete_reason(self.attributes),
+            "lambda2_min": lambda2_min,
             "lambda2_error_mean": _mean(lambda2_error, frames.alive & np.isfinite(lambda2_error)),
             "yaw_error_mutual": _mean(yaw_error, sees & is_seen),
             "yaw_error_one_sided": _mean(yaw_error, sees & ~is_seen),
@@ -103,7 +101,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             "waypoints_reached": len(self.events.of_kind("waypoint")),
             "waypoints": len(self.mission.stick.waypoints),
         }
-        return {k: v for k, v in summary.items() if np.isfinite(v)}
+        return common.drop_non_finite(summary)
 
 
 def _mean(values: Float[Array, "*k"], which: Bool[Array, "*k"]) -> float:
