@@ -164,7 +164,7 @@ def test_a_number_in_place_of_a_list_is_refused_in_our_words(changes, message):
 @pytest.mark.parametrize(
     "error",
     [
-        InputError("swarm.agents", "must be positive", is_complete=True),
+        InputError("swarm.agents", "must be positive"),
         Unsolved("a program", "it stopped"),
         Infeasible("a program", "by a certificate", np.array([1.0, 2.0])),
     ],

@@ -296,11 +296,7 @@ def open_table(folder: str | Path) -> CampaignTable:
 
 @contextmanager
 def describe_errors(path: Path) -> Iterator[None]:
-    """Make a sentence of what SQLite reports.
-
-    Raises:
-        TableError: Whatever it is.
-    """
+    """Make a `TableError` with a sentence of what SQLite reports."""
     try:
         yield
     except sqlite3.Error as error:

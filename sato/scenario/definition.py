@@ -66,11 +66,7 @@ class Definition:
         return {}
 
     def check(self) -> None:
-        """Refuse fields that contradict each other.
-
-        Raises:
-            InputError: They do.
-        """
+        """Refuse fields that contradict each other, with an `InputError`."""
 
     def __eq__(self, other: object) -> bool:
         """Compare all fields by value."""
@@ -132,11 +128,7 @@ class Field:
         return TypeAdapter(self.annotation, config=_STRICT)  # slow, so made where it is needed
 
     def check(self, value: Any) -> Any:
-        """Convert and check a value.
-
-        Raises:
-            InputError: The field cannot have it.
-        """
+        """Convert and check a value; refuse it with an `InputError` if the field cannot have it."""
         if value is self.default and (value is None or self.variants):
             return value
         with errors_in(self.address):

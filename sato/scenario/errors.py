@@ -23,23 +23,19 @@ class InputError(ValueError):
     Args:
         key: Key of the scenario file, with its tables as far as they are known.
         reason: What is wrong, the value given, and what would do.
-        is_complete: True where the key has all its tables.
     """
 
-    def __init__(self, key: str, reason: str, is_complete: bool = False) -> None:
+    def __init__(self, key: str, reason: str) -> None:
         super().__init__(f"{key}: {reason}" if key else reason)
         self.key = key
         self.reason = reason
-        self.is_complete = is_complete
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle by the arguments, so that worker processes can raise it."""
-        return type(self), (self.key, self.reason, self.is_complete)
+        return type(self), (self.key, self.reason)
 
     def inside(self, table: str) -> "InputError":
         """Return the same error of a key inside a table."""
-        if self.is_complete or not table:
-            return self
         return InputError(".".join(filter(None, (table, self.key))), self.reason)
 
 

@@ -28,11 +28,7 @@ class Origin(NamedTuple):
 
     @classmethod
     def from_json(cls, text: str) -> "Origin":
-        """Read what `to_json` wrote.
-
-        Raises:
-            ValueError: It is something else.
-        """
+        """Read what `to_json` wrote; a `ValueError` refuses anything else."""
         match json.loads(text):
             case {
                 "kind": "built-in" | "file" | "python" as kind,

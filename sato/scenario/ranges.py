@@ -20,8 +20,7 @@ CONTROL_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 def check_range(value: Any) -> Any:
     """Refuse numbers that are too large or too small to compute with; return all others.
 
-    Raises:
-        InputError: A number is; entries of lists and arrays may be as small as they like.
+    Entries of lists and arrays may be as small as they like.
     """
     if isinstance(value, int):
         if abs(value) > LARGEST_COUNT:
@@ -41,11 +40,7 @@ def check_range(value: Any) -> Any:
 
 
 def check_memory(agents: int, demand: Callable[[int], float]) -> None:
-    """Refuse a swarm that takes more memory than the machine has, by a demand of agents [byte].
-
-    Raises:
-        InputError: It does; says how many agents fit.
-    """
+    """Refuse a swarm with a larger demand [byte] than the machine has; say how many agents fit."""
     limit, most = machine_memory(), agents
     if demand(agents) <= limit:
         return
