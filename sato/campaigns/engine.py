@@ -112,9 +112,7 @@ def fly_campaign(
         function: Function of a trial that gives its outcome, importable by name.
 
     Raises:
-        InputError: The campaign cannot be flown, or the folder holds another one.
-        TableError: The table cannot be written; all rows until then are in it.
-        WorkerError: Workers end at once, or the scheduler cannot be reached.
+        InputError, TableError, WorkerError: As of `campaign`.
     """
     if campaign.runs > MOST_RUNS and not allow_many:
         reason = f"{campaign.runs:,} runs are more than {MOST_RUNS:,}"

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import tomli_w
 
@@ -91,14 +92,12 @@ def _format_failures(table: CampaignTable) -> list[str]:
 
 
 def _format_definition(table: CampaignTable) -> str:
-    def known(value: object) -> object:  # TOML has no null
+    def known(value: Any) -> Any:  # TOML has no null
         if isinstance(value, dict):
             return {key: known(part) for key, part in value.items() if part not in (None, {}, "")}
         return [known(part) for part in value] if isinstance(value, list) else value
 
-    definition = known(json.loads(table.campaign.to_json()))
-    assert isinstance(definition, dict)
-    return tomli_w.dumps(definition)
+    return tomli_w.dumps(known(json.loads(table.campaign.to_json())))
 
 
 def _format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -1,6 +1,7 @@
 """Ranges of numbers, and memory: what no computer of today can compute with."""
 
 import os
+from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -41,13 +42,10 @@ def check_range(value: Any) -> Any:
 
 def check_memory(agents: int, demand: Callable[[int], float]) -> None:
     """Refuse a swarm with a larger demand [byte] than the machine has; say how many agents fit."""
-    limit, most = machine_memory(), agents
+    limit = machine_memory()
     if demand(agents) <= limit:
         return
-    fits = 0
-    while most - fits > 1:
-        middle = (fits + most) // 2
-        fits, most = (middle, most) if demand(middle) <= limit else (fits, middle)
+    fits = bisect_right(range(1, agents), limit, key=demand)
     reason = f"{agents} take about {demand(agents) / 1e9:,.0f} GB of memory in a mission this long"
     shorter = "fewer steps or targets, or a shorter flight, would do"
     cure = f"{fits} would do" if fits > 1 else shorter

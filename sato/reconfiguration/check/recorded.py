@@ -224,8 +224,8 @@ class ReconfigurationRecord(
         if count > 1:
             within = x[:-1].reshape(-1, count, *x.shape[1:])
             within[:, 1:] = self.repropagate(count)[:, 1:-1]
-        alive = np.vstack([np.repeat(self.is_flying, count, axis=0), self.frames.alive[-1:]])
-        adrift = np.vstack([np.repeat(self.is_adrift[:-1], count, axis=0), self.is_adrift[-1:]])
+        flags = self.frames.alive, self.is_adrift
+        alive, adrift = (np.repeat(flag, count, axis=0)[: len(x)] for flag in flags)
         error = self._interpolation_error(x, count)
         return Pieces(x, alive, adrift, self.mission.step / count, error)
 
