@@ -152,10 +152,10 @@ def test_components_differ_in_color_and_marker():
     component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
     found = [(members.tolist(), look) for members, look, _ in style_components(component)]
     assert found == [([0, 2, 5], marker_style(0)), ([1, 4], marker_style(1)), ([3, 7], ISOLATED)]
-    assert len({marker_style(rank) for rank in range(56)}) == 56
+    assert len({tuple(marker_style(rank).values()) for rank in range(56)}) == 56
     for rank in range(55):
-        assert marker_style(rank).color != marker_style(rank + 1).color
-        assert marker_style(rank).marker != marker_style(rank + 1).marker
+        assert marker_style(rank)["color"] != marker_style(rank + 1)["color"]
+        assert marker_style(rank)["marker"] != marker_style(rank + 1)["marker"]
 
 
 def test_separation_is_drawn_between_samples():

@@ -174,5 +174,4 @@ def _add_legend(figure: Figure, ax: Any, by: Sequence[str]) -> None:
 
 
 def _style(rank: int) -> dict[str, Any]:
-    color, marker = marker_style(rank)
-    return {"color": color, "marker": marker, "ms": 3.5, "lw": 1.0}
+    return marker_style(rank) | {"ms": 3.5, "lw": 1.0}

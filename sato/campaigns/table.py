@@ -5,7 +5,7 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,13 +99,10 @@ class CampaignTable:
         path = folder / TABLE_FILE
         values = (campaign.to_json(), campaign.fingerprint, own_version())
         with describe_errors(path), replace_atomically(path) as new:
-            connection = sqlite3.connect(new, isolation_level=None)
-            try:
+            with closing(sqlite3.connect(new, isolation_level=None)) as connection:
                 connection.execute("PRAGMA journal_mode = WAL")
                 connection.executescript(_SCHEMA)
                 connection.execute("INSERT INTO campaign VALUES (?, ?, ?)", values)
-            finally:
-                connection.close()
         return cls(folder, is_writer=True)
 
     def close(self) -> None:

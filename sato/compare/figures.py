@@ -107,9 +107,8 @@ def _make_panels(
     """Make a figure with equal axes, and the styles of the solvers with a legend below."""
     styles: dict[str, dict[str, Any]] = {}
     for rank, name in enumerate(dict.fromkeys(m.solver for m in measurements)):
-        color, marker = marker_style(rank)
         line = LINE_STYLES[rank // 7 % len(LINE_STYLES)]
-        styles[name] = {"color": color, "marker": marker, "ls": line, "lw": 1.0, "ms": 3.0}
+        styles[name] = marker_style(rank) | {"ls": line, "lw": 1.0, "ms": 3.0}
     width = 2.0 + 2.5 * columns
     ncols = min(int(width / LEGEND_ENTRY[0]), len(styles))
     legend = LEGEND_ENTRY[1] * (1 + -(-len(styles) // ncols))

@@ -1,6 +1,6 @@
 """Colors and marks that all figures share."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -30,24 +30,17 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "p")
 _COMPONENTS = ("largest component", "second largest", "third largest", "fourth largest", "others")
 
 
-class MarkerStyle(NamedTuple):
-    """Color and mark of the members of a component."""
-
-    color: str
-    marker: str
+ISOLATED: dict[str, Any] = {"color": GRAY, "marker": "o"}
 
 
-ISOLATED = MarkerStyle(GRAY, "o")
-
-
-def marker_style(rank: int) -> MarkerStyle:
-    """Return the mark of a component by its rank in size; distinct for the first 56."""
-    return MarkerStyle(_COLORS[rank % len(_COLORS)], _MARKERS[rank % len(_MARKERS)])
+def marker_style(rank: int) -> dict[str, Any]:
+    """Return color and mark of a component by its rank in size; distinct for the first 56."""
+    return {"color": _COLORS[rank % len(_COLORS)], "marker": _MARKERS[rank % len(_MARKERS)]}
 
 
 def style_components(
     component: Int[Array, " agents"],
-) -> list[tuple[Int[Array, " members"], MarkerStyle, str]]:
+) -> list[tuple[Int[Array, " members"], dict[str, Any], str]]:
     """Return components with marks and names, largest first; isolated agents last, together."""
     labels, counts = np.unique(component[component >= 0], return_counts=True)
     found = []

@@ -12,11 +12,7 @@ PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sa
 
 
 class NoRoomError(ValueError):
-    """Error for points that do not fit.
-
-    Attributes:
-        placed_count: Number of points that did fit.
-    """
+    """Error for points that do not fit, with the number of those that did."""
 
     def __init__(self, placed_count: int) -> None:
         super().__init__(f"no room after {placed_count} points")

@@ -72,10 +72,9 @@ def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Floa
 def _lattice_nodes(count: int, dimension: int) -> Float[Array, "count d"]:
     if dimension == 2:
         basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
-        cells = 2 + round(1.2 * float(count) ** 0.5)
     else:
         basis = np.array([[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]) / np.sqrt(2)
-        cells = 2 + round(1.2 * float(count) ** (1 / 3))
+    cells = 2 + round(1.2 * float(count) ** (1 / dimension))
     steps = np.stack(np.meshgrid(*[np.arange(-cells, cells + 1)] * dimension), axis=-1)
     nodes = steps.reshape(-1, dimension) @ basis
     # Distances are rounded so that nodes at the same distance keep their order.

@@ -55,7 +55,7 @@ def _live_pieces(
     record: ReconfigurationRecord,
 ) -> tuple[Float[Array, "pieces 4 d"], Int[Array, " pieces"], Int[Array, " pieces"]]:
     """Return the control points of the pieces of live vehicles, their numbers and agents."""
-    d, x = record.axes, np.moveaxis(record.pieces.state, 0, 1)
+    d, x = record.mission.axes, np.moveaxis(record.pieces.state, 0, 1)
     points = control_points(x[..., :d], x[..., d:], record.pieces.duration).swapaxes(0, 1)
     k, i = np.nonzero(record.pieces.alive[:-1] & np.isfinite(points).all(axis=(2, 3)))
     return points[k, i], k, i

@@ -84,7 +84,7 @@ def _find_first_thrusts(record: ReconfigurationRecord, leg: LegRecord) -> Int[Ar
 
 def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> FlownDrifts:
     """Return the drifts of the vehicles that are there at the end of a leg, by the plant."""
-    mission, plant, d = record.mission, record.mission.flown_plant, record.axes
+    mission, plant, d = record.mission, record.mission.flown_plant, record.mission.axes
 
     def move(x: StateSamples, t: float, length: float) -> StateSamples:
         flat = x.reshape(-1, 2 * d)

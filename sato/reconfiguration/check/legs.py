@@ -67,7 +67,7 @@ def check_blocked(record: ReconfigurationRecord) -> Promise:
     By the deadline and what it takes to get out of its way. In orbit, where what drifts may come
     near later, only that there was something.
     """
-    mission, wrong, d = record.mission, 0, record.axes
+    mission, wrong, d = record.mission, 0, record.mission.axes
     radius = (float(mission.radii.max()) + mission.margin) * (1 + BLOCKED_TOLERANCE)
     sizes = [np.linalg.norm(o.corners, axis=1).max() + o.thickness for o in mission.obstacles]
     escape = count_escape_steps(mission, float(max(sizes, default=0.0)))

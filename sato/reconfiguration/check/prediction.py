@@ -47,7 +47,7 @@ def bound_speed_excess(record: ReconfigurationRecord) -> Float[Array, "instants 
     before the deadline, the last plan may be `freeze_steps` older. Agents that follow references
     may be faster by what `TrackingDeviations` allow.
     """
-    mission, model, d = record.mission, record.model, record.axes
+    mission, model, d = record.mission, record.model, record.mission.axes
     if mission.tracking is not None:
         return np.full(record.frames.alive.shape, SIGMA_BOUND * d**0.5 * mission.tracking.velocity)
     velocity, control = record.frames.velocity, record.frames.control
@@ -123,7 +123,7 @@ def _has_room(
     mission = record.mission
     if mission.has_surroundings:  # for which it may have to wait
         return False
-    position = mission.initial_states[agent, : record.axes]
+    position = mission.initial_states[agent, : record.mission.axes]
     away = np.linalg.norm(record.frames.position[k, alive] - position, axis=1)
     return mission.is_point_mass and bool((away > mission.comm_radius).all())
 

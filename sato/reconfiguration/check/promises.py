@@ -116,7 +116,7 @@ def check_propagation(record: ReconfigurationRecord) -> Promise:
         np.max(np.abs(a), initial=0.0, where=np.isfinite(a))
         for a in (frames.position, frames.velocity, frames.applied_control)
     )
-    scale = np.repeat([p + v * step, v + u * step], record.axes) + 1e-300
+    scale = np.repeat([p + v * step, v + u * step], record.mission.axes) + 1e-300
     errors = (record.repropagate()[:, 1] - x[1:]) / scale
     # Lost agents stay where they are or drift, so that every number of the file is checked.
     is_adrift = record.is_adrift[:-1]
@@ -182,7 +182,7 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
         return expect_below("speed", speed, most.max(), LIMIT_TOLERANCE, "m/s flown")
     # A vector of length 1 is at most so large in the norm of the limit.
     stretch = np.array([1 / limit.shares.min() for limit in limits])
-    stretch *= np.sqrt(record.axes) if record.mission.speed_norm == 1 else 1.0
+    stretch *= np.sqrt(record.mission.axes) if record.mission.speed_norm == 1 else 1.0
     allowed = (most + bound_speed_excess(record) * stretch)[alive]
     worst = int(np.argmax(speed - allowed))
     return expect_below("speed", speed[worst], float(allowed[worst]), LIMIT_TOLERANCE, "m/s flown")

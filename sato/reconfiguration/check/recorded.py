@@ -85,11 +85,6 @@ class ReconfigurationRecord(
     """Frames and variables of a run, and the drawn mission."""
 
     @property
-    def axes(self) -> int:
-        """Axes of space."""
-        return self.mission.axes
-
-    @property
     def leg_index(self) -> Int[Array, " instants"]:
         """Leg under way at each instant."""
         return np.asarray(self.frames.leg_index)
@@ -250,7 +245,7 @@ class ReconfigurationRecord(
         return 1 if self._interpolation_error(self.state, 1) == 0 else int(np.ceil(step))
 
     def _interpolation_error(self, x: Float[Array, "instants agents n"], pieces: int) -> float:
-        x, h, d = np.moveaxis(x, 0, 1), self.mission.step / pieces, self.axes
+        x, h, d = np.moveaxis(x, 0, 1), self.mission.step / pieces, self.mission.axes
         model = self._time_invariant_model
         if model is None:
             return trajectory_geometry.sampled_interpolation_error(x[..., :d], x[..., d:], h)

@@ -117,7 +117,7 @@ def max_model_error(record: ReconfigurationRecord, leg: LegRecord) -> float:
     where it joined, under the controls that were applied to it.
     """
     end = predict_end_states(record, leg, record.frames.applied_control)
-    error = (record.state[leg.end_index, leg.alive] - end)[:, : record.axes]
+    error = (record.state[leg.end_index, leg.alive] - end)[:, : record.mission.axes]
     return float(np.linalg.norm(error, axis=1).max(initial=0.0))
 
 
@@ -125,7 +125,7 @@ def compute_terminal_errors(
     record: ReconfigurationRecord, leg: LegRecord
 ) -> tuple[Float[Array, " live"], Float[Array, " live"]]:
     """Compute the error in position and velocity at each live agent's target; NaN without one."""
-    targets, d = record.targets[leg.leg_index], record.axes
+    targets, d = record.targets[leg.leg_index], record.mission.axes
     held = leg.target_index[leg.alive]
     is_valid = (held >= 0) & (held < len(targets))
     error = record.state[leg.end_index, leg.alive] - targets[np.where(is_valid, held, 0)]
@@ -165,7 +165,7 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
     is_open = ~np.isin(np.arange(len(distance)), left_out)
     m, distance = leg.largest_target_count, distance[is_open]
     is_hole = ~(distance[:m] <= record.mission.position_tolerance)
-    spacing = min_distance(record.leg_targets(leg)[is_open][:m, : record.axes])
+    spacing = min_distance(record.leg_targets(leg)[is_open][:m, : record.mission.axes])
     gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
     found = {"holes": int(is_hole.sum()), "gap": gap}
     return found | ({"blocked": len(left_out)} if len(left_out) else {})
@@ -173,7 +173,7 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
 
 def _distances_to_agents(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, " targets"]:
     # From each target to its nearest live agent.
-    targets = record.leg_targets(leg)[:, : record.axes]
+    targets = record.leg_targets(leg)[:, : record.mission.axes]
     agents = record.frames.position[leg.end_index, leg.alive]
     agents = agents[np.isfinite(agents).all(axis=1)]
     if not len(agents):

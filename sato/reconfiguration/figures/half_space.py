@@ -65,7 +65,7 @@ def _find_closest_encounter(
     # The two agents that came closest, some steps before, if they were near enough to avoid each
     # other: the control points of a step of their relative trajectory, and more of it, in the
     # plane of their encounter.
-    radius, d = record.mission.largest_separation, record.axes
+    radius, d = record.mission.largest_separation, record.mission.axes
     found, _ = record.separations
     if not len(found.distance) or not found.minimum.distance <= 2 * radius:
         return None

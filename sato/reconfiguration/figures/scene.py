@@ -40,7 +40,7 @@ class Scene:
     """
 
     def __init__(self, record: ReconfigurationRecord, view: Projection | None = None) -> None:
-        d = record.axes
+        d = record.mission.axes
         everything = Projection(tuple(range(d)), ("x", "y", "z")[:d])
         self.record = record
         self.view = view or (everything if record.variables.chief is None else ORBITAL_PLANE)
@@ -85,7 +85,7 @@ class Scene:
 
     def outlines_at(self, time: float) -> tuple[Float[Array, "_ d"], ...]:
         """Return points on the surface of each obstacle at a time [s], projected."""
-        ball = polytope_about_ball(self.record.axes)
+        ball = polytope_about_ball(self.record.mission.axes)
         unit, found = ball / np.linalg.norm(ball, axis=1, keepdims=True), []
         for one in self.record.mission.obstacles:
             farthest = one.corners[(one.corners @ unit.T).argmax(axis=0)]
@@ -134,9 +134,8 @@ def draw_swarm(
     mark = {"ls": "", "marker": "x", "color": LIGHT_GRAY, "mew": 0.6, "zorder": 1}
     ax.plot(*shot.targets.T / scale, ms=0.9 * size, **mark, label="target")
     for members, look, name in style_components(shot.component):
-        at, color = shot.position[members] / scale, look.color
-        ms = 0.75 * size if look is ISOLATED else size
-        ax.plot(*at.T, look.marker, ms=ms, color=color, mew=0, zorder=3, label=name)
+        style = look | {"ls": "", "ms": 0.75 * size if look == ISOLATED else size, "mew": 0}
+        ax.plot(*shot.position[members].T / scale, **style, zorder=3, label=name)
     if shot.lost is not None and len(shot.lost):
         ax.plot(*shot.lost.T / scale, "x", ms=1.2 * size, **LOST_STYLE, zorder=2, label="lost")
     if radius is not None:
