@@ -4,7 +4,7 @@ import faulthandler
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from itertools import islice
@@ -13,7 +13,7 @@ from typing import Any
 from uuid import uuid4
 
 from sato.campaigns.local import AHEAD, WorkerError, take_outcome
-from sato.campaigns.trial import Flights, Outcome, Trial
+from sato.campaigns.trial import Flights, Outcome, Trial, TrialFunction
 from sato.scenario.errors import InputError
 
 CONNECT_TIMEOUT = 6.0  # [s]
@@ -47,10 +47,7 @@ def connect(address: str) -> Iterator[Any]:
 
 
 def fly_on_cluster(
-    client: Any,
-    function: Callable[[Trial], Outcome],
-    trials: Iterable[Trial],
-    time_limit: float | None,
+    client: Any, function: TrialFunction, trials: Iterable[Trial], time_limit: float | None
 ) -> Flights:
     """Fly trials on a cluster, and yield them as they end.
 
@@ -107,7 +104,7 @@ def _outcome(future: Any, is_late: bool, time_limit: float | None) -> Outcome:
 
 
 def _fly_on_worker(
-    function: Callable[[Trial], Outcome], trial: Trial, time_limit: float | None, topic: str
+    function: TrialFunction, trial: Trial, time_limit: float | None, topic: str
 ) -> Outcome:
     """Fly a trial; end this process, and tell the scheduler why, where that takes too long."""
     from distributed import get_worker

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
-from sato.campaigns.trial import Flights, Outcome, Trial, own_version, run_trial
+from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
 from sato.scenario.errors import InputError, join_names
 
 MOST_RUNS = 10**6
@@ -96,7 +96,7 @@ def fly_campaign(
     allow_version: bool = False,
     allow_many: bool = False,
     progress: Progress = lambda exits, runs: None,
-    function: Callable[[Trial], Outcome] = run_trial,
+    function: TrialFunction = run_trial,
 ) -> None:
     """Fly the runs of a campaign that its table does not hold yet.
 

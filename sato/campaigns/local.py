@@ -3,7 +3,7 @@
 import multiprocessing
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from time import sleep
@@ -11,7 +11,7 @@ from typing import Any
 
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
-from sato.campaigns.trial import Flights, Outcome, Trial, one_thread_each
+from sato.campaigns.trial import Flights, Outcome, Trial, TrialFunction, one_thread_each
 from sato.scenario.errors import InputError
 
 AHEAD = 2  # trials that each worker has, one of which waits, so that it is never idle
@@ -25,10 +25,7 @@ class WorkerError(RuntimeError):
 
 
 def fly_locally(
-    workers: int,
-    function: Callable[[Trial], Outcome],
-    trials: Iterable[Trial],
-    time_limit: float | None,
+    workers: int, function: TrialFunction, trials: Iterable[Trial], time_limit: float | None
 ) -> Flights:
     """Fly trials in processes, and yield them as they end.
 

@@ -16,6 +16,7 @@ _TERM = re.compile(
     r"(?:(?P<relation><=|>=|!=|=|<|>)(?P<value>[^:]*))?(?::(?P<statistic>\w+))?"
 )
 _SAME = {"=": "IN", "!=": "NOT IN"}
+Texts = Sequence[str]
 # If nothing else is asked for, those of which the campaign has the columns.
 DEFAULT_TERMS = {
     "exit=reached": ("exit",),
@@ -156,10 +157,7 @@ def column_terms(table: CampaignTable, names: Sequence[str]) -> list[Term]:
 
 
 def group_runs(
-    table: CampaignTable,
-    by: Sequence[str] | None = None,
-    show: Sequence[str] = (),
-    where: Sequence[str] = (),
+    table: CampaignTable, by: Texts | None = None, show: Texts = (), where: Texts = ()
 ) -> GroupTable:
     """Group runs by columns, in the order in which they come, and collect the values of terms.
 
@@ -185,10 +183,7 @@ def group_runs(
 
 
 def list_runs(
-    table: CampaignTable,
-    by: Sequence[str] | None = None,
-    show: Sequence[str] = (),
-    where: Sequence[str] = (),
+    table: CampaignTable, by: Texts | None = None, show: Texts = (), where: Texts = ()
 ) -> tuple[list[str], list[list[str]]]:
     """List single runs as text, of errors the last line; arguments as of `group_runs`."""
     names = ["row", "seed", *(table.groups if by is None else by)]

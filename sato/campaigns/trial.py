@@ -6,7 +6,7 @@ import socket
 import tomllib
 import traceback
 import warnings
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
@@ -31,6 +31,7 @@ ERROR_LENGTH = 2000  # of the end of a traceback that is kept
 Source = str | dict[str, Any] | Mission  # a function, the tables of a scenario, or a mission
 # Cells of a row by column; summary and further columns are dicts of them.
 Outcome = dict[str, Any]
+TrialFunction = Callable[["Trial"], Outcome]
 Flights = Generator[tuple["Trial", Outcome], None, None]  # as they end
 
 
