@@ -25,11 +25,9 @@ _MARK = "figure of a run, by sato"  # in the metadata of a figure, by which old 
 
 def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
     """Draw every figure of a run, by name, of the drawn mission that was flown."""
-    figures = {}
-    for name, draw in load_system(data.attrs["system"]).figures(data, mission).items():
-        with matplotlib.rc_context(STYLE):
-            figures[name] = draw()
-    return figures
+    with matplotlib.rc_context(STYLE):
+        figures = load_system(data.attrs["system"]).figures(data, mission)
+        return {name: draw() for name, draw in figures.items()}
 
 
 def write_figures(figures: Mapping[str, Figure], directory: Path, pdf: bool = False) -> list[Path]:

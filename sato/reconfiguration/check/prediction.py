@@ -123,7 +123,7 @@ def _has_room(
     mission = record.mission
     if mission.has_surroundings:  # for which it may have to wait
         return False
-    position = mission.initial_states[agent, : record.mission.axes]
+    position = mission.initial_states[agent, : mission.axes]
     away = np.linalg.norm(record.frames.position[k, alive] - position, axis=1)
     return mission.is_point_mass and bool((away > mission.comm_radius).all())
 

@@ -1,9 +1,7 @@
 """Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
 
-from collections.abc import Callable
-
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.orbit import polar_nodal_scales
@@ -159,7 +157,7 @@ def check_measurements(
 
 def check_control_limit(record: ReconfigurationRecord) -> Promise:
     """Check that no commanded control exceeds its limit."""
-    limits = _each_agent(record, record.mission.control_limit)
+    limits = [record.mission.control_limit(i) for i in range(record.state.shape[1])]
     control, is_flying = record.frames.control[:-1], record.is_flying
     size = _measure(limits, control)[is_flying]
     most = np.broadcast_to([limit.most for limit in limits], is_flying.shape)[is_flying]
@@ -175,7 +173,8 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     model since the last plan, recomputed to the last digit, and the possible effect of noise
     in the measured state; or what noise takes it from its reference, see `bound_speed_excess`.
     """
-    limits, alive = _each_agent(record, record.mission.speed_limit), record.frames.alive
+    alive = record.frames.alive
+    limits = [record.mission.speed_limit(i) for i in range(alive.shape[1])]
     speed = _measure(limits, record.frames.velocity)[alive]
     most = np.array([limit.most for limit in limits])
     if not len(speed) or np.isinf(most).all():
@@ -186,10 +185,6 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     allowed = (most + bound_speed_excess(record) * stretch)[alive]
     worst = int(np.argmax(speed - allowed))
     return expect_below("speed", speed[worst], float(allowed[worst]), LIMIT_TOLERANCE, "m/s flown")
-
-
-def _each_agent(record: ReconfigurationRecord, limit_of: Callable[[int], Limit]) -> list[Limit]:
-    return [limit_of(i) for i in range(record.frames.alive.shape[1])]
 
 
 def _measure(
@@ -217,8 +212,7 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     (i, j), k = found.minimum.pair, max(found.minimum.piece, 0) // record.pieces_per_step
     where = f"between agents {i} and {j} in step {k}"
     if is_relative:
-        position = mission.scale_separations(frames.position)
-        sampled, limit = _least_relative(position, frames.alive, mission.radii), 1.0
+        sampled, limit = _least_relative(record), 1.0
         what = "(R_i + R_j)/2" if mission.separation_axes is None else "the ellipsoid"
         text = f"of {what} {where}, 1 allowed"
     else:
@@ -231,11 +225,10 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     return Promise("separation", bool(least - error >= allowed), least, allowed, text)
 
 
-def _least_relative(
-    position: Float[Array, "instants agents d"],
-    alive: Bool[Array, "instants agents"],
-    radii: Float[Array, " agents"],
-) -> float:
+def _least_relative(record: ReconfigurationRecord) -> float:
+    # At samples, relative to the distance that each pair keeps in its direction.
+    radii, alive = record.mission.radii, record.frames.alive
+    position = record.mission.scale_separations(record.frames.position)
     i, j = np.triu_indices(len(radii), 1)
     distance = np.linalg.norm(position[:, i] - position[:, j], axis=2) / ((radii[i] + radii[j]) / 2)
     return float(np.min(distance, where=alive[:, i] & alive[:, j], initial=np.inf))
