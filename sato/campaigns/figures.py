@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from sato.campaigns.selection import (
     GroupTable,
     Term,
+    Texts,
     column_terms,
     group_runs,
     name_group,
@@ -31,10 +32,10 @@ GROUP_HEIGHT = 0.22  # of a group among intervals [in]
 
 def draw_campaign(
     table: CampaignTable,
-    by: Sequence[str] | None = None,
-    show: Sequence[str] = (),
-    where: Sequence[str] = (),
-    scatter: Sequence[str] = (),
+    by: Texts | None = None,
+    show: Texts = (),
+    where: Texts = (),
+    scatter: Texts = (),
 ) -> dict[str, Figure]:
     """Draw the runs of a campaign; arguments are as of `group_runs`.
 
@@ -111,9 +112,7 @@ def draw_distributions(table: GroupTable) -> Figure:
     return figure
 
 
-def draw_scatter(
-    by: Sequence[str], terms: Sequence[Term], rows: Sequence[tuple[Any, ...]]
-) -> Figure:
+def draw_scatter(by: Texts, terms: Sequence[Term], rows: Sequence[tuple[Any, ...]]) -> Figure:
     """Draw runs, rows of columns and then of two terms, as points over these, marked by group."""
     figure, [ax] = _make_panels(1, 1.3 * HEIGHT, 1.4 * WIDTH)
     points: dict[Any, list[tuple[float, float]]] = {}
@@ -166,7 +165,7 @@ def _make_panels(count: int, height: float, width: float = WIDTH) -> tuple[Figur
     return figure, axes[:count]
 
 
-def _add_legend(figure: Figure, ax: Any, by: Sequence[str]) -> None:
+def _add_legend(figure: Figure, ax: Any, by: Texts) -> None:
     handles, names = ax.get_legend_handles_labels()
     width = 0.5 + 0.075 * max(map(len, names), default=0)  # of an entry [in]
     columns = max(1, min(len(names), int(figure.get_figwidth() / width)))

@@ -18,11 +18,7 @@ def add_modules(folder: str) -> None:
 
 
 def find_function(name: str) -> Callable[..., Any]:
-    """Import "module:function".
-
-    Raises:
-        InputError: There is no such module or function.
-    """
+    """Import "module:function"; an `InputError` refuses what is not there."""
     try:
         found: Callable[..., Any] = resolve_name(name)
     except Exception as error:  # whatever a module of the user's raises
@@ -34,11 +30,7 @@ def find_function(name: str) -> Callable[..., Any]:
 
 
 def name_of_function(function: object) -> str:
-    """Return "module:function", by which a worker finds it.
-
-    Raises:
-        InputError: A worker could not import it.
-    """
+    """Return "module:function", by which a worker imports it; refuse what it could not import."""
     module, name = getattr(function, "__module__", None), getattr(function, "__qualname__", "")
     is_typed_in = module == "__main__" and not hasattr(sys.modules["__main__"], "__file__")
     known = None if is_typed_in else sys.modules.get(str(module))

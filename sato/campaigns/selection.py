@@ -124,9 +124,7 @@ def quote(column: str, table: CampaignTable) -> str:
     return f"CASE WHEN json_valid({quoted}) THEN json_extract({quoted}, '${path}') END"
 
 
-def select(
-    table: CampaignTable, terms: Sequence[Term], where: Sequence[str] = ()
-) -> list[tuple[Any, ...]]:
+def select(table: CampaignTable, terms: Sequence[Term], where: Texts = ()) -> list[tuple[Any, ...]]:
     """Read the values of terms, one row a run, in the order of the runs."""
     conditions = [parse_term(text, table) for text in where]
     for text, condition in zip(where, conditions, strict=True):
@@ -138,7 +136,7 @@ def select(
     return list(table.query(f"SELECT {shown} FROM runs WHERE {kept} ORDER BY row", parameters))
 
 
-def parse_terms(table: CampaignTable, show: Sequence[str] = ()) -> list[Term]:
+def parse_terms(table: CampaignTable, show: Texts = ()) -> list[Term]:
     """Parse terms; those of the campaign's file, or else `DEFAULT_TERMS`, if there are none."""
     known = table.columns
     usual = [text for text, needed in DEFAULT_TERMS.items() if all(n in known for n in needed)]
@@ -147,12 +145,8 @@ def parse_terms(table: CampaignTable, show: Sequence[str] = ()) -> list[Term]:
     return [parse_term(text, table) for text in show or table.campaign.show or usual]
 
 
-def column_terms(table: CampaignTable, names: Sequence[str]) -> list[Term]:
-    """Return columns themselves as terms.
-
-    Raises:
-        InputError: There is no such column.
-    """
+def column_terms(table: CampaignTable, names: Texts) -> list[Term]:
+    """Return columns themselves as terms; an `InputError` refuses those that there are not."""
     return [Term(name, quote(name, table), (), False, "") for name in names]
 
 

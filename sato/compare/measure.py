@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
@@ -11,6 +11,7 @@ from time import process_time
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from threadpoolctl import threadpool_limits
 
 from problems.conic import SolverResult, Verified, verify
@@ -66,7 +67,7 @@ class Measurement(NamedTuple):
 
 def measure_solvers(
     plan: ComparisonPlan,
-    rng: np.random.Generator,
+    rng: Generator,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Measurement]:
     """Measure every solver on every problem that it supports.
@@ -92,11 +93,7 @@ def measure_solvers(
 
 
 def _measure_in_turn(
-    workers: Sequence["SolverProcess"],
-    family: Family,
-    tolerance: float,
-    repeats: int,
-    rng: np.random.Generator,
+    workers: list["SolverProcess"], family: Family, tolerance: float, repeats: int, rng: Generator
 ) -> Iterator[Measurement]:
     Solves = tuple[list[SolveOutcome], list[SolveOutcome]]  # first and second ones
     found: dict[tuple[SolverProcess, Instance], Solves]

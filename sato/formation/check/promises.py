@@ -15,7 +15,7 @@ from sato.check.report import (
     expect_small_error,
     largest,
 )
-from sato.formation.check.recorded import FormationRecord, summarize
+from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.mission import Formation
 from sato.formation.record import collect_attributes
 from sato.run_data import RunData
@@ -51,7 +51,8 @@ def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -
         check_assignment_is_unique(record),
         check_separation(record),
     )
-    return Report(promises, summarize(record))
+    summary = common.common_summary(attributes, frames.alive) | summarize_flight(record)
+    return Report(promises, summary)
 
 
 def check_connected(record: FormationRecord) -> Promise:

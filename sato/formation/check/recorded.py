@@ -109,11 +109,6 @@ class _RecordedCourse(FlightCourse):
         return frames.velocity_command[k], blocked
 
 
-def summarize(record: FormationRecord) -> dict[str, Any]:
-    """Summarize a run; entries that it does not have are absent."""
-    return common.common_summary(record.attributes, record.frames.alive) | summarize_flight(record)
-
-
 def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     """Summarize a flight, without the entries that the runs of every system have."""
     mission = record.mission

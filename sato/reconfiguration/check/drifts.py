@@ -39,6 +39,7 @@ class DriftApproaches(NamedTuple):
 class FlownDrifts(NamedTuple):
     """Drifts from each step of a leg as it was flown, of the agents that are there at its end."""
 
+    leg: LegRecord
     horizon: DriftHorizon
     drifts: Drifts
 
@@ -58,7 +59,7 @@ def find_drift_approaches(record: ReconfigurationRecord) -> DriftApproaches:
         counted += int((leg.step_count - 1 - first).clip(0).sum())
         left_out += int((first - thrust).clip(0, leg.step_count - 1 - thrust).clip(0).sum())
         for row, step in enumerate(first.tolist()):
-            found = approach_others(flown, leg, row, flown.horizon.step > step, enough)
+            found = approach_others(flown, row, flown.horizon.step > step, enough)
             if found is not None:
                 nearest, enough = found, found.distance
     return DriftApproaches(nearest, counted, left_out)
@@ -98,21 +99,17 @@ def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> FlownDrifts:
     flown = slice(leg.start_index, leg.end_index)
     x = np.moveaxis(record.state[leg.start_index : leg.end_index + 1, leg.alive], 0, 1)
     u = np.moveaxis(record.frames.applied_control[flown, leg.alive], 0, 1)
-    return FlownDrifts(horizon, horizon.follow(x, u))
+    return FlownDrifts(leg, horizon, horizon.follow(x, u))
 
 
 def approach_others(
-    flown: FlownDrifts,
-    leg: LegRecord,
-    row: int,
-    counts: Bool[Array, " drifts"],
-    enough: float = np.inf,
+    flown: FlownDrifts, row: int, counts: Bool[Array, " drifts"], enough: float = np.inf
 ) -> DriftApproach | None:
     """Return the nearest approach of an agent's drifts to others, if it is nearer than enough [m].
 
     The row of the agent is that among the agents at the end of the leg.
     """
-    (horizon, drifts), agents = flown, np.flatnonzero(leg.alive)
+    (leg, horizon, drifts), agents = flown, np.flatnonzero(flown.leg.alive)
     pieces, others = np.flatnonzero(counts), np.flatnonzero(np.arange(len(agents)) != row)
     relative = drifts.drifts[row, pieces] - drifts.path[others][:, horizon.piece[pieces]]
 

@@ -20,7 +20,7 @@ from sato.reconfiguration.check.drifts import (
     find_first_losses,
     follow_leg,
 )
-from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 
 POINTS = 6  # of a piece
 COLORS = "viridis"  # of the time at which the thrust is lost
@@ -42,7 +42,7 @@ def plot_drifts(record: ReconfigurationRecord) -> Figure:
     shades = ScalarMappable(Normalize(0.0, step * leg.step_count), COLORS)
     beside = plane.inset_axes([1.03, 0.0, 0.02, 1.0])
     figure.colorbar(shades, cax=beside, label=f"loss of thrust [{ORBITAL_PLANE.time_unit}]")
-    _draw_distances(distances, record, leg, flown)
+    _draw_distances(distances, record, flown)
     titles = [f"drifts of agent {agents[row]}", "least distance from all others, of each agent"]
     add_titles((plane, distances), titles, loc="left")
     add_legend(figure)
@@ -50,7 +50,7 @@ def plot_drifts(record: ReconfigurationRecord) -> Figure:
 
 
 def _draw_plane(ax: Any, flown: FlownDrifts, row: int) -> None:
-    horizon, drifts = flown
+    _, horizon, drifts = flown
     T = horizon.steps.steps
     others = np.delete(np.arange(len(drifts.path)), row)
     for path in drifts.path[others]:
@@ -72,14 +72,11 @@ def _trace(pieces: Float[Array, "pieces 4 d"]) -> Float[Array, "2 points"]:
     return ORBITAL_PLANE.project(flat).T / KILOMETER
 
 
-def _draw_distances(
-    ax: Any, record: ReconfigurationRecord, leg: LegRecord, flown: FlownDrifts
-) -> None:
-    times = np.arange(leg.step_count) * record.mission.step * ORBITAL_PLANE.time_scale
-    for row, first in enumerate(find_first_losses(record, leg)):
-        found = [
-            approach_others(flown, leg, row, flown.horizon.step == k) for k in range(1, len(times))
-        ]
+def _draw_distances(ax: Any, record: ReconfigurationRecord, flown: FlownDrifts) -> None:
+    times = np.arange(flown.leg.step_count) * record.mission.step * ORBITAL_PLANE.time_scale
+    for row, first in enumerate(find_first_losses(record, flown.leg)):
+        losses = (flown.horizon.step == k for k in range(1, len(times)))
+        found = [approach_others(flown, row, loss) for loss in losses]
         least = np.array([np.nan, *(np.nan if one is None else one.distance for one in found)])
         counts = np.arange(len(times)) > first
         before, after = np.where(counts, np.nan, least), np.where(counts, least, np.nan)
