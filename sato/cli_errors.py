@@ -71,11 +71,7 @@ def _raise_again(unraisable: Any) -> None:
 
 
 def ensure_writable(folder: Path) -> None:
-    """Try to write into a folder, or where it is to be.
-
-    Raises:
-        InputError: Nothing can be written there.
-    """
+    """Refuse a folder where nothing can be written, neither in it nor where it is to be."""
     try:
         existing = next(path for path in (folder, *folder.parents) if path.exists())
         TemporaryDirectory(dir=existing).cleanup()

@@ -113,11 +113,7 @@ class Shape(Definition):
 
 
 def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes"]:
-    """Return a center in the space of the model; one in the plane will do in space too.
-
-    Raises:
-        InputError: It has the wrong number of coordinates.
-    """
+    """Return a center in the space of the model, or in its plane; refuse other coordinates."""
     given = given or (0.0, 0.0)
     if len(given) not in (2, axes):
         raise InputError("center_m", f"needs {axes} coordinates, got {len(given)}")

@@ -47,11 +47,6 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         return np.asarray(self.frames.leg_index)
 
     @cached_property
-    def auction_rounds(self) -> tuple[int, ...]:
-        """Rounds of messages of each auction, before its outcome is known."""
-        return tuple(int(event["rounds"]) for _, event in self.events.of_kind("auction"))
-
-    @cached_property
     def replay(self) -> Replay:
         """Course that the flight had to take by the recorded commands and avoidance."""
         course = _RecordedCourse(self)
@@ -97,10 +92,11 @@ class _RecordedCourse(FlightCourse):
     # Reads what the loop computes, as far as it was recorded.
     def __init__(self, record: FormationRecord) -> None:
         super().__init__(record.mission)
-        self.frames, self.rounds = record.frames, iter(record.auction_rounds)
+        self.frames, self.auctions = record.frames, iter(record.events.of_kind("auction"))
 
     def hold_auction(self) -> int:
-        return next(self.rounds, 0)
+        _, event = next(self.auctions, (0, {"rounds": 0}))
+        return int(event["rounds"])
 
     def advance(self) -> tuple[Array, Array]:
         k = min(self.instant + 1, len(self.frames.avoiding) - 1)
@@ -116,6 +112,7 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     is_over = len(legs) == len(mission.legs) and not common.incomplete_reason(record.attributes)
     gridlocked = record.replay.phase[:-1].count(Phase.GRIDLOCKED)
     errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
+    rounds = [int(event["rounds"]) for _, event in record.events.of_kind("auction")]
     return common.drop_non_finite(
         {
             "success": is_over and all(leg["success"] for leg in legs),
@@ -123,7 +120,7 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
             **{key: sum(leg[key] for leg in legs) for key in ("path_m", "time_s", "reassignments")},
             "gridlocked_s": gridlocked * mission.frame_period,
             "bytes_per_vehicle_s": received_bit_rate(record) / 8,
-            "longest_auction_s": max(record.auction_rounds, default=0) / mission.radio.message_rate,
+            "longest_auction_s": max(rounds, default=0) / mission.radio.message_rate,
             "min_separation_m": record.closest_approach.distance,
             "keep_out_m": mission.keep_out,
             "gains_rate": min_convergence_rate(record),
