@@ -48,7 +48,7 @@ def find_excess(record: ReconfigurationRecord) -> tuple[float, int]:
 
     precision = PRECISION * record.mission.least_separation
     room, number, _ = minimize_along(pieces, measure, precision)
-    return -room, int(agent[number])
+    return -room, int(agent[number]) if number >= 0 else -1
 
 
 def _live_pieces(
