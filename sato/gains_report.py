@@ -56,7 +56,7 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
 def design_and_save(
     formation: DesiredFormation, method: str, out: Path, joint: bool = False
 ) -> None:
-    """Design gains, see `design_gains`, print their certificate, and write them into a file.
+    """Design gains by `design_gains`, print their certificate, and write them, whole or not at all.
 
     Raises:
         ValueError: There is no such method.

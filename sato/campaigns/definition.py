@@ -191,7 +191,7 @@ class Campaign(Definition):
         )
 
     def check_keys(self) -> None:
-        """Refuse keys that a scenario does not have, and functions; the nearest key is named."""
+        """Refuse functions that are not there, and unknown keys, of which the nearest is named."""
         self.to_json()  # refuses values that no table holds
         add_modules(self.modules)
         if self.columns:

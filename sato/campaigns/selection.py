@@ -146,7 +146,7 @@ def parse_terms(table: CampaignTable, show: Texts = ()) -> list[Term]:
 
 
 def column_terms(table: CampaignTable, names: Texts) -> list[Term]:
-    """Return columns themselves as terms; an `InputError` refuses those that there are not."""
+    """Return columns themselves as terms; an `InputError` names one that is not there."""
     return [Term(name, quote(name, table), (), False, "") for name in names]
 
 

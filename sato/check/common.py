@@ -130,7 +130,7 @@ def incomplete_reason(attributes: Mapping[str, Any]) -> str:
 
 
 def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
-    """Check that a flight was completed, and that its record is not lacking what is described."""
+    """Check that a flight was completed, and that nothing is named that its record is lacking."""
     reasons = [text for text in (lacking, incomplete_reason(attributes)) if text]
     text = "; ".join(reasons) or "everything was flown and recorded"
     return Promise("complete", not reasons, float(len(reasons)), 0.0, text)

@@ -41,7 +41,7 @@ def check_range(value: Any) -> Any:
 
 
 def check_memory(agents: int, demand: Callable[[int], float]) -> None:
-    """Refuse a swarm with a larger demand [byte] than the machine has; say how many agents fit."""
+    """Refuse a swarm that takes more memory [byte] than there is, and say how many agents fit."""
     limit = machine_memory()
     if demand(agents) <= limit:
         return
