@@ -260,7 +260,7 @@ class _Segment(NamedTuple):
         y = np.zeros((len(times), 6))
         for i, term in enumerate(np.moveaxis(self.terms[k], 1, 0)[::-1]):
             y = (y + term) * (1 - x if i % 2 else x)
-        return y + self.start[k]
+        return np.asarray(y + self.start[k])
 
 
 @lru_cache(maxsize=4096)
