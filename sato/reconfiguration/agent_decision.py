@@ -126,10 +126,9 @@ class Decision(NamedTuple):
             leg: Instant at which the leg began, and a checksum of its targets.
             joins: True where the agent calls for an auction at once.
         """
-        mission, memory, k = context.mission, context.memory, context.step_index
-        plans = give_up_missed(mission, plans, context.state, k)
-        own = mission, plans, memory, k, context.leg.steps
-        due, auction_due = is_planning_due(*own), is_auction_due(*own)
+        memory = context.memory
+        plans = give_up_missed(context, plans)
+        due, auction_due = is_planning_due(context, plans), is_auction_due(context, plans)
         step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
         claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
         clock = int(memory.clock[number])

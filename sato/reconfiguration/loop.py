@@ -89,17 +89,17 @@ class _Flight:
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
-            self.plans = give_up_missed(mission, self.plans, known, k)
             seen_by = self._look_around()
             time = self.step_index * mission.step
             rest = self.memory, k, time, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
+            self.plans = give_up_missed(context, self.plans)
             closed = planning.give_up_closed(context, self.plans, seen_by)
             alarmed = [i for i, plan in closed.items() if plan is not self.plans[i]]
             self.plans = closed
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
-            for deciding, bids in self._schedule_decisions(graph, [*joined, *alarmed], k):
+            for deciding, bids in self._schedule_decisions(context, [*joined, *alarmed]):
                 self._decide(context._replace(graph=deciding, memory=self.memory), bids)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
             control = add_feedback(mission, planned, known, self.estimate.mean)
@@ -180,7 +180,7 @@ class _Flight:
         return joined
 
     def _schedule_decisions(
-        self, graph: CommunicationGraph, called: list[int], k: int
+        self, context: state.DecisionContext, called: list[int]
     ) -> list[tuple[CommunicationGraph, bool]]:
         """Return the components that plan at a step, and whether they bid first.
 
@@ -188,21 +188,20 @@ class _Flight:
         at once; a loss is silence, and is noticed when agents plan next. A component that is about
         to arrive keeps its plans: with so few steps left, a small correction takes much control.
         """
-        decisions: list[tuple[CommunicationGraph, bool]] = []
+        decisions, graph = list[tuple[CommunicationGraph, bool]](), context.graph
         is_central = self.mission.assignment == "central"
         if called:
             beside = np.isin(graph.component, graph.component[called]) | is_central
             decisions, graph = [(graph.subgraph(beside), True)], graph.subgraph(~beside)
-        if k % self.mission.replan_steps:
+        if context.step_index % self.mission.replan_steps:
             return decisions
-        own = self.mission, self.plans, self.memory, k, self.leg.steps
         is_new = np.zeros(len(self.x), dtype=bool)
         if bids_on_change(self.mission):
             together = graph.component[:, None] == graph.component
             is_new = has_changed_network(self.memory.claim_step, together)
-        is_due = graph.component_any(is_planning_due(*own) | is_new)
+        is_due = graph.component_any(is_planning_due(context, self.plans) | is_new)
         is_due |= is_central and bool(is_due[graph.alive].any())
-        bids = graph.component_any(is_auction_due(*own) | is_new)
+        bids = graph.component_any(is_auction_due(context, self.plans) | is_new)
         parts = (graph.alive & is_due & bids, True), (graph.alive & is_due & ~bids, False)
         return decisions + [(graph.subgraph(some), bid) for some, bid in parts if some.any()]
 
@@ -251,9 +250,8 @@ class _Flight:
 
     def _hear_clocks(self, context: state.DecisionContext) -> Array:
         """Return the clock with the most time left of those that plan again, as agents hear it."""
-        mission, clock, steps = self.mission, context.memory.clock, self.leg.steps
-        own = self.plans, context.memory, context.step_index, steps
-        announced = announce_clock(is_planning_due(mission, *own), clock, steps)
+        is_due = is_planning_due(context, self.plans)
+        announced = announce_clock(is_due, context.memory.clock, self.leg.steps)
         return -context.graph.component_max(-announced)
 
     def _propagate(self, planned: Array, control: Array, applied: Array) -> None:

@@ -103,9 +103,8 @@ def _follow_nominals(
 ) -> dict[int, tuple[Trajectory, Drifts]]:
     """Return the nominal with which each agent begins, and its drifts."""
     u, alike = dict[int, Float[Array, "T m"]](), dict[tuple[int, bool], list[int]]()
-    own = context.memory, context.step_index, context.leg.steps
     for i, planner in planners.items():
-        rest = remaining_controls(previous, i, *own)
+        rest = remaining_controls(context, previous, i)
         u[i] = planner.solo.u if rest is None else rest
         alike.setdefault((len(u[i]), rest is None), []).append(i)
     found = dict[int, tuple[Trajectory, Drifts]]()

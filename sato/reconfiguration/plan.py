@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples
 from problems.transfer import Trajectory, compute_energy, compute_fuel
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.state import AgentMemory, DecisionContext
+from sato.reconfiguration.state import DecisionContext
 from sato.scp import FEASIBILITY_TOLERANCE
 from sato.scp.planner import Priority
 
@@ -35,51 +35,33 @@ class Plan(NamedTuple):
 Plans = dict[int, Plan]  # by the number of the agent
 
 
-def is_planning_due(
-    mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
-) -> Bool[Array, " agents"]:
+def is_planning_due(context: DecisionContext, plans: Plans) -> Bool[Array, " agents"]:
     """Find the agents that plan again: all but those about to arrive, by a plan clear to its end.
 
     Those that have arrived do so too where noise may take them from their targets.
-
-    Args:
-        mission: Steps before the deadline in which plans are kept.
-        plans: Plans of the agents.
-        memory: Targets and clocks of the agents.
-        k: Steps since the start of the leg.
-        steps: Steps of the leg.
     """
-    left = steps - memory.clock
+    mission, k, left = context.mission, context.step_index, context.leg.steps - context.memory.clock
     is_kept = (left < mission.freeze_steps) | mission.keeps_plans
     deviates = mission.is_point_mass and mission.has_noise and mission.tracking is None
     is_over = (left == 0) & ~deviates
     for i in np.flatnonzero(is_kept).tolist():
         if mission.has_own_clocks and _waits(mission, plans.get(i), k):
             continue
-        has_plan = remaining_controls(plans, i, memory, k, steps) is not None
+        has_plan = remaining_controls(context, plans, i) is not None
         is_kept[i] = has_plan and (is_over[i] or _is_clear(mission, plans[i], k, int(left[i])))
     return np.asarray(~is_kept)
 
 
-def is_auction_due(
-    mission: Reconfiguration, plans: Plans, memory: AgentMemory, k: int, steps: int
-) -> Bool[Array, " agents"]:
+def is_auction_due(context: DecisionContext, plans: Plans) -> Bool[Array, " agents"]:
     """Find the agents that call for an auction when they plan again.
 
     Those without a plan to their targets, where plans are kept and targets are assigned by auction;
     elsewhere all, every so many steps.
-
-    Args:
-        mission: Whether targets are assigned by auction, how often, and whether plans are kept.
-        plans: Plans of the agents.
-        memory: Targets and clocks of the agents.
-        k: Steps since the start of the leg.
-        steps: Steps of the leg.
     """
+    mission, each = context.mission, range(len(context.memory.clock))
     if not bids_on_change(mission):
-        return np.full(len(memory.clock), k % mission.assignment_steps == 0)
-    each = range(len(memory.clock))
-    return np.array([remaining_controls(plans, i, memory, k, steps) is None for i in each])
+        return np.full(len(each), context.step_index % mission.assignment_steps == 0)
+    return np.array([remaining_controls(context, plans, i) is None for i in each])
 
 
 def bids_on_change(mission: Reconfiguration) -> bool:
@@ -115,25 +97,18 @@ def _waits(mission: Reconfiguration, plan: Plan | None, k: int) -> bool:
     return k < plan.planned_at + periods * mission.replan_steps
 
 
-def give_up_missed(
-    mission: Reconfiguration, plans: Plans, state: Float[Array, "agents n"], k: int
-) -> Plans:
+def give_up_missed(context: DecisionContext, plans: Plans) -> Plans:
     """Give up plans that would be kept, but from which their agents have strayed.
 
     No agent of a mission without noise strays, but one may fly in a world that is not as modeled.
-
-    Args:
-        mission: Whether plans are kept.
-        plans: Plans of the agents.
-        state: State of each.
-        k: Steps since the start of the leg.
     """
+    mission = context.mission
     if not mission.keeps_plans:
         return plans
     allowed, found = FEASIBILITY_TOLERANCE * mission.least_separation, dict(plans)
     for i, plan in plans.items():
-        x = plan.trajectory.x[min(k - plan.planned_at, len(plan.trajectory.u))]
-        if plan.target_index is not None and np.abs(state[i] - x).max() > allowed:
+        x = plan.trajectory.x[min(context.step_index - plan.planned_at, len(plan.trajectory.u))]
+        if plan.target_index is not None and np.abs(context.state[i] - x).max() > allowed:
             found[i] = plan._replace(target_index=None)
     return found
 
@@ -143,40 +118,30 @@ def is_held(context: DecisionContext, plans: Plans, i: int) -> bool:
 
     It does where that is clear to its end; one that rests at its target makes room.
     """
-    k, steps, memory = context.step_index, context.leg.steps, context.memory
     if not context.mission.keeps_plans:
         return False
-    u = remaining_controls(plans, i, memory, k, steps)
+    u, k = remaining_controls(context, plans, i), context.step_index
     return u is not None and bool(u.any()) and k + len(u) <= plans[i].clear_until
 
 
 def remaining_controls(
-    plans: Plans, i: int, memory: AgentMemory, k: int, steps: int
+    context: DecisionContext, plans: Plans, i: int
 ) -> Float[Array, "T m"] | None:
-    """Return the rest of an agent's controls, if they reach its target on its clock.
-
-    Args:
-        plans: Plans of the agents.
-        i: Number of the agent.
-        memory: Targets and clocks of the agents.
-        k: Steps since the start of the leg.
-        steps: Steps of the leg.
-    """
-    plan = plans.get(i)
+    """Return the rest of an agent's controls, if they reach its target on its clock."""
+    plan, memory = plans.get(i), context.memory
     if plan is None or plan.target_index != memory.target_index[i]:
         return None
-    u = plan.controls_from(k)
-    return u if len(u) == steps - memory.clock[i] else None
+    u = plan.controls_from(context.step_index)
+    return u if len(u) == context.leg.steps - memory.clock[i] else None
 
 
 def remaining_cost(plans: Plans, context: DecisionContext) -> Float[Array, " agents"]:
     """Return the fuel or energy left in each plan; infinite where none reaches the target."""
-    mission, steps, k = context.mission, context.leg.steps, context.step_index
     cost = np.full(len(context.state), np.inf)
     for i in plans:
-        u = remaining_controls(plans, i, context.memory, k, steps)
+        u = remaining_controls(context, plans, i)
         if u is not None:
-            cost[i] = compute_spent(mission, u)
+            cost[i] = compute_spent(context.mission, u)
     return cost
 
 

@@ -148,8 +148,7 @@ def plan_alone(
     Returns:
         Planners, agents whose targets are out of reach, and the number of programs solved.
     """
-    mission, leg, k = context.mission, context.leg, context.step_index
-    memory = context.memory
+    mission, leg, memory = context.mission, context.leg, context.memory
     is_nonlinear = mission.nonlinear_model is not None
     # Given targets need no agreement: others hear of a reset at the next replan.
     is_given = mission.assignment == "given"
@@ -168,7 +167,7 @@ def plan_alone(
     relative = FEASIBILITY_TOLERANCE if mission.bargains else CONVERGENCE_TOLERANCE
     for clock, group in context.group_agents():
         agents, model = group.tolist(), context.remaining_model(clock)
-        rests = [remaining_controls(previous, i, memory, k, leg.steps) for i in agents]
+        rests = [remaining_controls(context, previous, i) for i in agents]
         transfers, solos, stranded, count = solve_solo_trajectories(context, model, agents, rests)
         unreachable += stranded
         solve_count += count
