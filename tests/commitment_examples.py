@@ -76,7 +76,7 @@ def random_reach(rng, mission, horizon):
     factor = (mission.comm_radius - horizon.clearance) / 2 / max(away)
     for more, is_near in ((1e-6, False), (0.0, True)):
         scaled = factor * (1 + more)
-        near = stopping.stays_within_reach(mission, horizon, scaled * x[:, :d], scaled * path)
+        near = stopping.stays_within_reach(mission, horizon, scaled * x, scaled * path)
         assert near == is_near
     return factor * x[:, :d], factor * path
 

@@ -5,6 +5,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 import pytest
+from graphs import complete
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, min_separation, row
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, LinearModel, discretize_zoh
@@ -312,7 +313,9 @@ def test_plan_from_which_an_agent_has_strayed_is_given_up():
     x = np.linspace(mission.initial_states, mission.legs[0].targets, 21)
     plans = {i: Plan(Trajectory(x[:, i], np.zeros((20, 2)), 0.0), i, 0, 20) for i in range(2)}
     strayed = x[7] + [[0.0, 0.0, 0.0, 0.0], [0.0, 1e-3, 0.0, 0.0]]
-    left = give_up_missed(mission, plans, strayed, 7)
+    graph, memory = complete(2), AgentMemory.initial(np.full(2, 2))
+    context = DecisionContext(mission, mission.legs[0], graph, strayed, memory, 7, 7.0)
+    left = give_up_missed(context, plans)
     assert [left[i].target_index for i in range(2)] == [0, None]
 
 

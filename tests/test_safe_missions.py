@@ -76,7 +76,7 @@ def test_first_commitments_are_clear_within_reach_and_end_at_rest():
         least = least_distances(sample(x, u, mission.step)) + 9 * np.eye(n)
         assert least.min() >= mission.collision_radius - 1e-9
         path = horizon.control_points(x, u)
-        assert stays_within_reach(mission, horizon, x[..., :d], path).all()
+        assert stays_within_reach(mission, horizon, x, path).all()
         at_once = [stop_at_once(mission.control_limit(i), start[i, d:], 1.0)[0] for i in range(n)]
         bent += not np.allclose(u[:, 0], at_once)
     assert bent > 0

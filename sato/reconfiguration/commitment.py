@@ -278,8 +278,7 @@ def improve(
             points = horizon.control_points(x, u)
             is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
             is_clear = is_clear and is_path_clear(points, obstacles)
-            position = x[:, : context.mission.axes]
-            if is_clear and stays_within_reach(context.mission, horizon, position, points):
+            if is_clear and stays_within_reach(context.mission, horizon, x, points):
                 return u, points, min(followed, len(plan.trajectory.u))
     return None
 

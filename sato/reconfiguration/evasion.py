@@ -17,6 +17,7 @@ from problems import convexify
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.joint_stops import JointStopProblem, StoppingVehicle
+from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, violation
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
@@ -173,9 +174,9 @@ def _evade(
         if not met:
             break
         found, least = now, sum(violation(now[a].path, looks[a][1]) for a in rows)
-        changes = _list_changes(mission, horizon, now, crowd, met, looks, required)
-        for after in islice(changes, MAX_CHANGES):
-            if not _is_allowed(mission, horizon, now, after, looks, required):
+        evasion = _CrowdEvasion(mission, horizon, now, crowd, met, looks, required)
+        for after in islice(evasion.list_changes(), MAX_CHANGES):
+            if not evasion.is_allowed(after):
                 continue
             lack = sum(violation(after[a].path, looks[a][1]) for a in rows)
             if lack == 0.0:
@@ -183,100 +184,6 @@ def _evade(
             if lack < PROGRESS * least:
                 found, least = after, lack
     return found
-
-
-def _list_changes(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: Sequence[EvasionReport],
-    crowd: Bool[Array, " agents"],
-    met: Sequence[int],
-    looks: Sequence[Look],
-    required: Float[Array, "agents agents"],
-) -> Iterator[list[EvasionReport]]:
-    """List changes of a crowd: that of a search, and those of programs about one after another.
-
-    Args:
-        mission: Limits of the vehicles.
-        horizon: Horizon in which all have come to rest.
-        now: Reports of all.
-        crowd: True for those that change.
-        met: Rows of those that something comes over.
-        looks: How long each rests, and what it has to avoid.
-        required: Distances of two [m].
-    """
-    before, least_change = np.stack([own.u for own in now]), UNCHANGED * mission.least_braking
-    u = before.copy()
-    for a in met:
-        u[a] = _search_way(mission, horizon, now, a, looks[a], required[a])
-    problem = _make_problem(mission, horizon, now, crowd, looks, required)
-    least, stalled = np.inf, 0
-    while stalled < PATIENCE:
-        paths = problem.fly(u)[1]
-        is_changed = (np.abs(u - before) > least_change).any(axis=(1, 2))
-        each = zip(now, u, paths, is_changed.tolist(), strict=True)
-        yield [replace(own, u=w, path=p) if differs else own for own, w, p, differs in each]
-        if not problem.is_free.any():
-            return
-        try:
-            following, slack = problem.improve(u)
-        except Unsolved:
-            return
-        is_same = np.abs(following - u).max() < least_change
-        stalled = stalled + 1 if is_same or slack > max(PROGRESS * least, SMALL) else 0
-        u, least = following, min(least, slack)
-
-
-def _search_way(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: Sequence[EvasionReport],
-    row: int,
-    look: Look,
-    required: Float[Array, " agents"],
-) -> Float[Array, "T m"]:
-    """Search a way out of an agent, clear of all or else of obstacles; what it had without one."""
-    own, (rest_steps, obstacles) = now[row], look
-    assert obstacles is not None
-    here = np.broadcast_to(own.path[:1, :1], (1, 4, mission.axes)) - obstacles.paths[:, :1, :1]
-    gap = measure_gaps(here, obstacles)[0][:, 0] * (1 - ROUNDING)
-    obstacles = obstacles._replace(clearance=np.minimum(obstacles.clearance, gap))
-    others = [a for a in range(len(now)) if a != row]
-    paths = np.stack([own.path for own in now])[others]
-    for bodies in (obstacles.join_points(paths, required[others]), obstacles):
-        found = search_stops(mission, horizon, own.agent, own.state, rest_steps, bodies)
-        for u in islice(found, MAX_TRIED):
-            x = horizon.discrete_model.simulate(own.state, u)
-            path, position = horizon.control_points(x, u), x[:, : mission.axes]
-            is_clear = is_path_clear(path, bodies)
-            if is_clear and stays_within_reach(mission, horizon, position, path):
-                return u
-    return own.u
-
-
-def _make_problem(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: Sequence[EvasionReport],
-    crowd: Bool[Array, " agents"],
-    looks: Sequence[Look],
-    required: Float[Array, "agents agents"],
-) -> JointStopProblem:
-    """Make the program of a crowd, without those that keep no limits, as noise may have it."""
-    vehicles, is_free = [], crowd.copy()
-    for a, (own, (rest_steps, obstacles)) in enumerate(zip(now, looks, strict=True)):
-        steps = max(horizon.steps - 1 - rest_steps, 1)
-        control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
-        vehicles.append(StoppingVehicle(own.state, own.u, control, speed, steps, obstacles))
-        is_free[a] &= _keeps_limits(mission, horizon, own)
-    return JointStopProblem(horizon, tuple(vehicles), required, is_free)
-
-
-def _keeps_limits(mission: Reconfiguration, horizon: AvoidanceHorizon, own: EvasionReport) -> bool:
-    """Tell whether an agent keeps its limits of control and speed."""
-    v = horizon.discrete_model.simulate(own.state, own.u)[1:, mission.axes :]
-    control, speed = mission.planned_control_limit(own.agent), mission.speed_limit(own.agent)
-    return not (control.is_exceeded(own.u).any() or speed.is_exceeded(v).any())
 
 
 def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents agents"]:
@@ -291,31 +198,96 @@ def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents ag
     return required
 
 
-def _is_allowed(
-    mission: Reconfiguration,
-    horizon: AvoidanceHorizon,
-    now: Sequence[EvasionReport],
-    after: Sequence[EvasionReport],
-    looks: Sequence[Look],
-    required: Float[Array, "agents agents"],
-) -> bool:
-    """Verify limits and reach of what has changed, and that it is clear of all, or no nearer."""
-    changed = [a for a, own in enumerate(after) if own is not now[a]]
-    for a in changed:
-        own, obstacles = after[a], looks[a][1]
-        position = horizon.discrete_model.simulate(own.state, own.u)[:, : mission.axes]
-        is_within = stays_within_reach(mission, horizon, position, own.path)
-        if not (is_within and _keeps_limits(mission, horizon, own)):
-            return False
-        if obstacles is not None and not is_path_clear(own.path, obstacles):
-            gap, before = (
-                measure_gaps(path - obstacles.paths, obstacles)[0].min(axis=1)
-                for path in (own.path, now[a].path)
-            )
-            if (gap < np.minimum(obstacles.clearance, before) * (1 - ROUNDING)).any():
+@dataclass(frozen=True, eq=False)
+class _CrowdEvasion:
+    """Evasion of a crowd, while all look ahead for as long as they do."""
+
+    mission: Reconfiguration  # limits of the vehicles
+    horizon: AvoidanceHorizon  # in which all have come to rest
+    now: Sequence[EvasionReport]  # of all
+    crowd: Bool[Array, " agents"]  # True for those that change
+    met: Sequence[int]  # rows of those that something comes over
+    looks: Sequence[Look]  # how long each rests, and what it has to avoid
+    required: Float[Array, "agents agents"]  # distances of two [m]
+
+    def list_changes(self) -> Iterator[list[EvasionReport]]:
+        """List changes: that of a search, and those of programs about one after another."""
+        before = np.stack([own.u for own in self.now])
+        u, least_change = before.copy(), UNCHANGED * self.mission.least_braking
+        for a in self.met:
+            u[a] = self._search_way(a)
+        problem = self._make_problem()
+        least, stalled = np.inf, 0
+        while stalled < PATIENCE:
+            paths = problem.fly(u)[1]
+            is_changed = (np.abs(u - before) > least_change).any(axis=(1, 2))
+            each = zip(self.now, u, paths, is_changed.tolist(), strict=True)
+            yield [replace(own, u=w, path=p) if differs else own for own, w, p, differs in each]
+            if not problem.is_free.any():
+                return
+            try:
+                following, slack = problem.improve(u)
+            except Unsolved:
+                return
+            is_same = np.abs(following - u).max() < least_change
+            stalled = stalled + 1 if is_same or slack > max(PROGRESS * least, SMALL) else 0
+            u, least = following, min(least, slack)
+
+    def _search_way(self, row: int) -> Float[Array, "T m"]:
+        """Search a way out of an agent, clear of all or of obstacles; what it had without one."""
+        own, (rest_steps, obstacles) = self.now[row], self.looks[row]
+        assert obstacles is not None
+        within, d = (self.mission, self.horizon), self.mission.axes
+        here = np.broadcast_to(own.path[:1, :1], (1, 4, d)) - obstacles.paths[:, :1, :1]
+        gap = measure_gaps(here, obstacles)[0][:, 0] * (1 - ROUNDING)
+        obstacles = obstacles._replace(clearance=np.minimum(obstacles.clearance, gap))
+        others = [a for a in range(len(self.now)) if a != row]
+        paths = np.stack([own.path for own in self.now])[others]
+        for bodies in (obstacles.join_points(paths, self.required[row, others]), obstacles):
+            found = search_stops(*within, own.agent, own.state, rest_steps, bodies)
+            for u in islice(found, MAX_TRIED):
+                x = self.horizon.discrete_model.simulate(own.state, u)
+                path = self.horizon.control_points(x, u)
+                if is_path_clear(path, bodies) and stays_within_reach(*within, x, path):
+                    return u
+        return own.u
+
+    def _make_problem(self) -> JointStopProblem:
+        """Make the program, without those that keep no limits, as noise may have it."""
+        vehicles, is_free = [], self.crowd.copy()
+        for a, (own, (rest_steps, obstacles)) in enumerate(zip(self.now, self.looks, strict=True)):
+            steps, limits = max(self.horizon.steps - 1 - rest_steps, 1), self._limits(own)
+            vehicles.append(StoppingVehicle(own.state, own.u, *limits, steps, obstacles))
+            is_free[a] &= self._keeps_limits(own)
+        return JointStopProblem(self.horizon, tuple(vehicles), self.required, is_free)
+
+    def _limits(self, own: EvasionReport) -> tuple[Limit, Limit]:
+        """Return the limits of an agent's control and speed."""
+        return self.mission.planned_control_limit(own.agent), self.mission.speed_limit(own.agent)
+
+    def _keeps_limits(self, own: EvasionReport) -> bool:
+        v = self.horizon.discrete_model.simulate(own.state, own.u)[1:, self.mission.axes :]
+        control, speed = self._limits(own)
+        return not (control.is_exceeded(own.u).any() or speed.is_exceeded(v).any())
+
+    def is_allowed(self, after: Sequence[EvasionReport]) -> bool:
+        """Verify limits and reach of what changed, and that it is clear of all, or no nearer."""
+        changed = [a for a, own in enumerate(after) if own is not self.now[a]]
+        for a in changed:
+            own, obstacles = after[a], self.looks[a][1]
+            x = self.horizon.discrete_model.simulate(own.state, own.u)
+            is_within = stays_within_reach(self.mission, self.horizon, x, own.path)
+            if not (is_within and self._keeps_limits(own)):
                 return False
-    i, j = np.nonzero(np.triu(np.ones_like(required), 1))
-    some = np.isin(i, changed) | np.isin(j, changed)
-    i, j = i[some], j[some]
-    paths = np.stack([own.path for own in after])
-    return bool(convexify.are_paths_separated(paths, i, j, required[i, j]).all())
+            if obstacles is not None and not is_path_clear(own.path, obstacles):
+                gap, before = (
+                    measure_gaps(path - obstacles.paths, obstacles)[0].min(axis=1)
+                    for path in (own.path, self.now[a].path)
+                )
+                if (gap < np.minimum(obstacles.clearance, before) * (1 - ROUNDING)).any():
+                    return False
+        i, j = np.nonzero(np.triu(np.ones_like(self.required), 1))
+        some = np.isin(i, changed) | np.isin(j, changed)
+        i, j = i[some], j[some]
+        paths = np.stack([own.path for own in after])
+        return bool(convexify.are_paths_separated(paths, i, j, self.required[i, j]).all())

@@ -98,9 +98,7 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
                     side=side,
                     obstacles=obstacles[a],
                 )
-                if found is not None and stays_within_reach(
-                    mission, horizon, found[1][:, :d], found[2]
-                ):
+                if found is not None and stays_within_reach(mission, horizon, *found[1:]):
                     u[a], _, paths[a] = found
                     break
         meeting, met = _find_meeting(paths, clearance), find_met()
@@ -308,7 +306,7 @@ def check_stops(
     if not mission.is_point_mass or not state[:, d:].any():
         return
     horizon, _, x, paths = _fly_on(mission, agents, state, committed or {}, instant)
-    far = np.flatnonzero(~stays_within_reach(mission, horizon, x[..., :d], paths))
+    far = np.flatnonzero(~stays_within_reach(mission, horizon, x, paths))
     if len(far):
         a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))

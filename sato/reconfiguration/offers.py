@@ -158,7 +158,7 @@ def _fly(
             controls = add_steps(u[some, :most], most)
             x = own.discrete_model.simulate(start[some], controls)
             part = own.control_points(x, controls)
-            is_near[some] = stays_within_reach(mission, own, x[..., : mission.axes], part)
+            is_near[some] = stays_within_reach(mission, own, x, part)
             low[some], high[some] = bounding_boxes(part)
             part_of[some], place[some] = len(parts), np.arange(len(some))
             parts.append(part[:, : len(horizon.fine_model)])

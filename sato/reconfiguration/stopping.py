@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.model import StateSamples
 from problems import convexify
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
@@ -171,14 +172,14 @@ def longest_way(mission: Reconfiguration) -> float:
 def stays_within_reach(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
-    position: Float[Array, "*k instants d"],
+    x: StateSamples,
     paths: Float[Array, "*k pieces 4 d"],
 ) -> Bool[Array, "*k"]:
     """Find the trajectories on which no later point is too far from an earlier instant.
 
     Two that do not hear each other then cannot meet before both have decided again.
     """
-    reach = longest_way(mission)
+    reach, position = longest_way(mission), x[..., : mission.axes]
     # Most trajectories lie in a small box, or lead too far from where they begin.
     paths = horizon.unscale_points(paths)
     low, high = bounding_boxes(paths)
