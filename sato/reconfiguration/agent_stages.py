@@ -133,8 +133,8 @@ class Exchange(NamedTuple):
         return self._replace(planner=planner, flood=flood)
 
 
-class HoldingMessage(NamedTuple):
-    """Message of an agent in orbit: what it has committed to."""
+class CommittedMessage(NamedTuple):
+    """Message of an agent: what it has committed to now."""
 
     path: Float[Array, "pieces 4 d"]
     clearance: float  # that two of the sender's kind would keep [m]
@@ -149,16 +149,16 @@ class Holding(NamedTuple):
     is_finished: bool = False
 
     @property
-    def message(self) -> HoldingMessage:
+    def message(self) -> CommittedMessage:
         """Message to the neighbors."""
-        return HoldingMessage(self.offers.paths[0, -1], float(self.offers.clearance[0]))
+        return CommittedMessage(self.offers.paths[0, -1], float(self.offers.clearance[0]))
 
     @property
     def kept_offers(self) -> Offers:
         """Its offers, without what it has committed to where that is not clear."""
         return give_up_unclear(self.offers, np.array([self.is_unclear]))
 
-    def update(self, inbox: Sequence[HoldingMessage]) -> "Holding":
+    def update(self, inbox: Sequence[CommittedMessage]) -> "Holding":
         """Compare, and choose a detour that is clear of all; all do so in the same round."""
         own, offers = self.message, self.offers
         is_unclear = not all(keeps_clear(own.path, own.clearance, other) for other in inbox)
@@ -221,7 +221,7 @@ def _goes_first(other: OfferMessage, own: OfferMessage) -> bool:
     return other.choice > own.choice
 
 
-def keeps_clear(path: Array, clearance: float, other: HoldingMessage | OfferMessage) -> bool:
+def keeps_clear(path: Array, clearance: float, other: CommittedMessage | OfferMessage) -> bool:
     """Return True where the trajectory of an agent with a clearance is clear of another."""
     pieces = max(len(path), len(other.path))
     relative = extend(path, pieces) - extend(other.path, pieces)
@@ -244,13 +244,6 @@ class ChoiceReport(NamedTuple):
     round: int = 0
 
 
-class TurnMessage(NamedTuple):
-    """Message of an agent while others change their committed trajectories."""
-
-    path: Float[Array, "pieces 4 d"]  # to which it is committed now
-    clearance: float  # that two of the sender's kind would keep [m]
-
-
 class Turns(NamedTuple):
     """Memory of an agent while, in turn, all that could not commit to their plans change theirs."""
 
@@ -266,16 +259,16 @@ class Turns(NamedTuple):
     round: int = 0
 
     @property
-    def message(self) -> TurnMessage:
+    def message(self) -> CommittedMessage:
         """Message to the neighbors."""
-        return TurnMessage(self.path, self.clearance)
+        return CommittedMessage(self.path, self.clearance)
 
     @property
     def is_finished(self) -> bool:
         """True once all have had their turns."""
         return self.round == len(self.order)
 
-    def update(self, inbox: Sequence[TurnMessage]) -> "Turns":
+    def update(self, inbox: Sequence[CommittedMessage]) -> "Turns":
         """Change the committed trajectory in the agent's own turn."""
         after = self._replace(round=self.round + 1)
         if self.order[self.round] != self.agent:

@@ -10,9 +10,7 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
-from collections.abc import Iterator
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,13 +19,14 @@ from numpy import ndarray as Array
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
-from problems.obstacle_paths import ObstaclePaths, is_path_clear
+from problems.obstacle_paths import is_path_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.evasion import ROUNDING, find_evasions, is_met, list_looks, make_report
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import (
+    Avoided,
     Commitment,
     Commitments,
     find_stop,
@@ -36,15 +35,6 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
 )
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
-
-
-class Avoided(NamedTuple):
-    """Neighbors and obstacles of which a changed trajectory has to be clear."""
-
-    others: Float[Array, "others pieces 4 d"]  # committed trajectories of neighbors
-    clearance: Float[Array, " others"]  # to keep from each [m]
-    obstacles: ObstaclePaths | None
-    rest_steps: int  # at the end of the horizon, for which the agent rests already
 
 
 def choose_offers(
@@ -269,41 +259,24 @@ def improve(
     """
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
+    period, d = steps_to_next(context), context.mission.axes
     for n, (rest_steps, obstacles) in enumerate(list_looks(context, agent, horizon, path)):
-        if n and is_path_clear(path, obstacles):
+        is_clear = is_path_clear(path, obstacles)
+        if n and is_clear:
             return None
         avoided = Avoided(others, clearance, obstacles, rest_steps)
-        for followed, u in _list_changes(context, agent, plan, horizon, path, avoided):
+        # Where something comes an agent's way, it may pass on all sides.
+        for k, side in product((period, 0), PASSING_SIDES[d][: 1 if is_clear else None]):
+            u = _find_stop_after(context, agent, plan, k, horizon, path, avoided, side)
+            if u is None:
+                continue
             x = horizon.discrete_model.simulate(context.state[agent], u)
             points = horizon.control_points(x, u)
             is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
             is_clear = is_clear and is_path_clear(points, obstacles)
             if is_clear and stays_within_reach(context.mission, horizon, x, points):
-                return u, points, min(followed, len(plan.trajectory.u))
+                return u, points, min(k, len(plan.trajectory.u))
     return None
-
-
-def _list_changes(
-    context: DecisionContext,
-    agent: int,
-    plan: Plan,
-    horizon: AvoidanceHorizon,
-    path: Float[Array, "pieces 4 d"],
-    avoided: Avoided,
-) -> Iterator[tuple[int, Float[Array, "T m"]]]:
-    """List steps of the plan to follow, and controls, in the order in which to try them.
-
-    Where something comes an agent's way, it may pass on all sides.
-    """
-    mission, period, obstacles = context.mission, steps_to_next(context), avoided.obstacles
-    is_clear = is_path_clear(path, obstacles)
-    sides: tuple[convexify.PassingSide, ...] = (
-        ("same",) if is_clear else PASSING_SIDES[mission.axes]
-    )
-    for followed, side in product((period, 0), sides):
-        u = _find_stop_after(context, agent, plan, followed, horizon, path, avoided, side)
-        if u is not None:
-            yield followed, u
 
 
 def _find_stop_after(
@@ -334,6 +307,6 @@ def _find_stop_after(
         if obstacles is not None:
             obstacles = obstacles.after_pieces(k * horizon.pieces_per_step)
     aim = agent, start, wanted, min(period, max(horizon.steps - 1 - rest_steps, 1))
-    passing = context.solver_of(agent), side, obstacles, rest_steps
-    found = find_stop(mission, horizon, *aim, path, others, clearance, *passing)
+    avoided = Avoided(others, clearance, obstacles, rest_steps)
+    found = find_stop(mission, horizon, *aim, path, avoided, context.solver_of(agent), side)
     return None if found is None else np.vstack([own[:k], found[0]])

@@ -21,6 +21,7 @@ from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.stopping import (
+    Avoided,
     Commitment,
     Commitments,
     add_steps,
@@ -84,20 +85,12 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         for a in sorted(met.union(meeting.flatten().tolist())):
             here = horizon.scale_points(start[a, :d])
             near = _find_near(mission, here, a, paths, clearance)
-            others, radius = paths[near], (clearance[near] + clearance[a]) / 2
+            radius = (clearance[near] + clearance[a]) / 2
+            avoided = Avoided(paths[near], radius, obstacles[a])
             rest = np.concatenate([horizon.unscale_points(paths[a, -1, -1]), np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
-                found = find_stop(
-                    mission,
-                    horizon,
-                    *aim,
-                    paths[a],
-                    others,
-                    radius,
-                    side=side,
-                    obstacles=obstacles[a],
-                )
+                found = find_stop(mission, horizon, *aim, paths[a], avoided, side=side)
                 if found is not None and stays_within_reach(mission, horizon, *found[1:]):
                     u[a], _, paths[a] = found
                     break

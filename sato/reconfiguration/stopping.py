@@ -206,6 +206,15 @@ def bounding_boxes(
     return np.stack(low, axis=-1), np.stack(high, axis=-1)
 
 
+class Avoided(NamedTuple):
+    """Others and obstacles of which a stopping trajectory has to be clear."""
+
+    others: Float[Array, "others pieces 4 d"]  # control points over the horizon
+    clearance: Float[Array, " others"]  # to keep from each [m]
+    obstacles: ObstaclePaths | None
+    rest_steps: int = 0  # at the end of the horizon, for which the vehicle rests already
+
+
 def find_stop(
     mission: Reconfiguration,
     horizon: AvoidanceHorizon,
@@ -214,12 +223,9 @@ def find_stop(
     wanted: Float[Array, " n"],
     wanted_step: int,
     nominal: Float[Array, "pieces 4 d"],
-    others: Float[Array, "others pieces 4 d"],
-    clearance: Float[Array, " others"],
+    avoided: Avoided,
     solver: Solver = solve_program,
     side: convexify.PassingSide = "same",
-    obstacles: ObstaclePaths | None = None,
-    rest_steps: int = 0,
 ) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
@@ -231,16 +237,14 @@ def find_stop(
         wanted: Wanted state.
         wanted_step: Steps after which it is wanted.
         nominal: Control points about which the half-spaces are chosen.
-        others: Control points of the others.
-        clearance: Distance to keep from each [m].
+        avoided: Others and obstacles.
         solver: Solver of the program.
         side: Side on which to pass others that the nominal meets.
-        obstacles: Obstacles over the horizon.
-        rest_steps: Steps at the end of the horizon for which the agent rests already.
 
     Returns:
         Controls, states and control points; None where none is found.
     """
+    others, clearance, obstacles, rest_steps = avoided
     T = max(horizon.steps - 1 - rest_steps, 1)
     required, count = required_separations(clearance), len(others)
     between = choose_half_spaces(nominal, others, required, obstacles, side)
