@@ -10,7 +10,7 @@ from reconfiguration_runs import make_mission, row
 import sato
 from sato.reconfiguration import loop, stopping
 from sato.reconfiguration.offers import Offers
-from sato.reconfiguration.stopping import stop_at_once, stopping_horizon
+from sato.reconfiguration.stopping import count_stop_steps, stopping_horizon
 
 sys.path.append(str(Path(__file__).parent.parent / "campaigns"))  # as a worker of a campaign has it
 
@@ -24,6 +24,12 @@ NORMS = (1, 2, "inf")
 def crowd(axes=2, agents=3, **changes):
     """A mission of agents in a row."""
     return make_mission(row(agents, 0.0, axes), sato.Leg(row(agents, 3.0, axes), 14), **changes)
+
+
+def stop_at_once(limit, velocity, h):
+    """Equal controls that bring a double integrator to rest, in the fewest steps."""
+    count = int(count_stop_steps(limit, velocity, h))
+    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
 
 
 def sample(x, u, h, count=60):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from agents import fly_by_messages
+from commitment_examples import stop_at_once
 from reconfiguration_runs import make_mission
 
 import sato
 from sato.reconfiguration.agent_inputs import check_agent
 from sato.reconfiguration.loop import simulate
-from sato.reconfiguration.stopping import stop_at_once
 
 
 def head_on():

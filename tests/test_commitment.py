@@ -14,6 +14,7 @@ from commitment_examples import (
     random_reach,
     reflection,
     sample,
+    stop_at_once,
 )
 from graphs import random_graph
 from messages import run_rounds
@@ -30,7 +31,7 @@ from sato.reconfiguration.commitment import choose_offers, improve
 from sato.reconfiguration.offers import Offers, make_offers
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import AgentMemory, DecisionContext
-from sato.reconfiguration.stopping import end_at_rest, stop_at_once, stopping_horizon
+from sato.reconfiguration.stopping import end_at_rest, stopping_horizon
 
 NORMS = (1, 2, "inf")
 ROUNDING = 1e-9

@@ -10,6 +10,7 @@ from commitment_examples import (
     least_distances,
     random_mission,
     sample,
+    stop_at_once,
     swarms,
 )
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
@@ -21,7 +22,6 @@ from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.stopping import (
     pad_controls,
     stays_within_reach,
-    stop_at_once,
     stopping_horizon,
 )
 

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from sato.reconfiguration.pair_reach import farthest
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import stop_at_once
+from sato.reconfiguration.stopping import held_controls
 
 TIME_FACTOR = 1.5  # over the time that a late vehicle takes alone
 
@@ -76,9 +76,8 @@ def _count_steps(context: DecisionContext, agent: int) -> int:
     state, target = context.state[agent], context.leg.targets[agent]
     if target[d:].any():
         return steps
-    transfer = context.make_transfer(context.remaining_model(0), agent)
-    control, speed = transfer.control_limit, transfer.speed_limit
-    stop = stop_at_once(control, state[d:], mission.step)
+    control, speed = mission.planned_control_limit(agent), mission.planned_speed_limit(agent)
+    (stop,), _ = held_controls(mission, np.array([agent]), state[None, d:], {}, 0)
     model = discretize_zoh(mission.linear_model, mission.step, len(stop))
     way = target[:d] - model.simulate(state, stop)[-1, :d]
     far = np.linalg.norm(way)

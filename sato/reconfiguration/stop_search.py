@@ -17,7 +17,7 @@ from problems.convexify import AvoidanceHorizon
 from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, are_points_clear
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.stopping import REST_TOLERANCE, longest_way
+from sato.reconfiguration.stopping import count_stop_steps, longest_way
 
 MAX_STATES = 500  # that are kept after a step
 CELL = 0.04  # of R: states that are nearer to each other count as one
@@ -83,8 +83,7 @@ def _list_stops(
     """List the stops at once from states that are clear, those of least control first."""
     d, h, S, k = u.shape[2], horizon.discrete_model.dt, horizon.pieces_per_step, u.shape[1]
     velocity = x[:, d:]
-    needed = limit.measure(velocity) / (limit.most * h)
-    count = np.ceil(np.where(needed < REST_TOLERANCE, 0.0, needed * (1 - 1e-9))).astype(int)
+    count = count_stop_steps(limit, velocity, h)
     rows = np.flatnonzero(k + count <= latest)
     if not len(rows):
         return

@@ -61,12 +61,6 @@ def controls_at(
     return control
 
 
-def stop_at_once(limit: Limit, velocity: Float[Array, " m"], h: float) -> Float[Array, "T m"]:
-    """Return equal controls that bring a double integrator to rest, in the fewest steps."""
-    count = int(count_stop_steps(limit, velocity, h))
-    return np.tile(-velocity / (max(count, 1) * h), (count, 1))
-
-
 def count_stop_steps(limit: Limit, velocity: Float[Array, "*k m"], h: float) -> Int[Array, "*k"]:
     """Count the steps in which double integrators come to rest at once, the fewest."""
     steps = limit.measure(velocity) / (limit.most * h)
