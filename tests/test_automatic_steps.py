@@ -49,7 +49,7 @@ def test_reach_with_a_speed_limit_is_that_of_the_transfer_problem(norm, speed, o
     for _ in range(25):
         way, steps = rng.uniform(-2, 2, 2), int(rng.integers(4, 16))
         start, target = np.zeros((1, 4)), np.array([[*way, 0.0, 0.0]])
-        fault = find_stranded(mission, Departure(np.arange(1), start), target, steps)
+        fault = find_stranded(Departure(mission, np.arange(1), start), target, steps)
         model = discretize_zoh(mission.linear_model, 1.0, steps)
         transfer = TransferProblem(model, 0.1, speed, control_norm=norm, speed_norm=of_speed)
         found = solve_transfer(transfer, start[0], target[0])

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretize import discretize_zoh
 from problems.assignment import solve_assignment
 from problems.auction_cost import compute_transfer_costs
 from problems.centralized import CentralizedProblem
@@ -48,7 +47,7 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
         raise InputError("mission", f"{reason}, got an object of type {type(mission).__name__}")
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
-    model = discretize_zoh(drawn.linear_model, drawn.step, leg.steps)
+    model = drawn.discretize(leg.steps)
     agents = np.flatnonzero(drawn.alive)
     each = tuple(
         drawn.make_transfer(

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray as Array
 
-from dynamics.discretize import discretize_zoh
 from sato.reconfiguration.pair_reach import farthest
 from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import held_controls
@@ -78,7 +77,7 @@ def _count_steps(context: DecisionContext, agent: int) -> int:
         return steps
     control, speed = mission.planned_control_limit(agent), mission.planned_speed_limit(agent)
     (stop,), _ = held_controls(mission, np.array([agent]), state[None, d:], {}, 0)
-    model = discretize_zoh(mission.linear_model, mission.step, len(stop))
+    model = mission.discretize(len(stop))
     way = target[:d] - model.simulate(state, stop)[-1, :d]
     far = np.linalg.norm(way)
     unit = way / far if far > 0 else np.eye(d)[0]

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.discretize import DiscreteModel
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.feasibility import fewest_agents, target_demand
 
@@ -17,12 +18,21 @@ if TYPE_CHECKING:
 class Departure(NamedTuple):
     """Vehicles that begin a leg."""
 
+    mission: "Reconfiguration"  # their model and limits
     agents: Int[Array, " k"]
     state: Float[Array, "k n"]
     spare: int = 0  # how many of them need no target of their own
     lost: int = 0  # how many of those need not reach any target
     time: float = 0.0  # [s]
     names: tuple[str, ...] = ()  # of each; by its number if absent
+
+    def discretize(self, steps: int) -> DiscreteModel:
+        """Discretize the shared model over some steps of the leg."""
+        return self.mission.discretize(steps, self.time)
+
+    def select(self, rows: Int[Array, " k"]) -> "Departure":
+        """Return some of the agents."""
+        return self._replace(agents=self.agents[rows], state=self.state[rows])
 
 
 def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
@@ -32,7 +42,7 @@ def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
         alive[[i for i in loss.agents if i < len(alive)]] = False
         spare += floor((loss.share or 0.0) * (alive.sum() - spare))
     live = np.flatnonzero(alive)
-    return Departure(live, state[live], spare, spare)
+    return Departure(mission, live, state[live], spare, spare)
 
 
 def count_wanted(mission: "Reconfiguration", number: int) -> int | None:
@@ -55,7 +65,7 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     if number == 0:
         agents = np.setdiff1d([*range(mission.agent_count), *new], named)
         lost = max(0, len(agents) - fewest)
-        return Departure(agents, mission.initial_states[agents], lost, lost)
+        return Departure(mission, agents, mission.initial_states[agents], lost, lost)
     is_given = mission.assignment == "given"
     is_equal = len(mission.control_limits) == len(mission.speed_limits) == 1
     is_fixed = mission.nonlinear_model is None and mission.linear_model.is_time_invariant
@@ -71,7 +81,7 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     if mission.assignment == "auction" and (lost or not _is_connected(mission, state)):
         spare = len(agents)
     begin = sum(leg.steps for leg in mission.legs[:number]) * mission.step
-    return Departure(agents, state, spare, lost, begin, names)
+    return Departure(mission, agents, state, spare, lost, begin, names)
 
 
 def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> bool:
@@ -81,13 +91,11 @@ def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> boo
     return not graph.component.any()
 
 
-def room_at_start(mission: "Reconfiguration", departure: Departure, steps: int) -> float:
+def room_at_start(departure: Departure, steps: int) -> float:
     """Return the factor of the control that makes up for a start within tolerances of a target."""
-    from dynamics.discretize import discretize_zoh
     from problems.minimum_fuel import reachability_matrix
 
-    d = mission.axes
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    mission, d, model = departure.mission, departure.mission.axes, departure.discretize(steps)
     error = np.repeat([mission.position_tolerance, mission.velocity_tolerance], d)
     C = reachability_matrix(model).reshape(2 * d, -1)
     Phi = np.linalg.matrix_power(model.A[0], steps)

@@ -43,7 +43,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         states = np.concatenate([states, *joined])
         if is_auto(asked[k].steps):
             begin = departures[k] = _depart(mission, k, known, states, demand, mission.step * steps)
-            enough = _choose_steps(mission, k, leg, begin, demand[k], factors[k])
+            enough = _choose_steps(begin, k, leg, demand[k], factors[k])
             leg = replace(leg, steps=enough)
         steps += leg.steps
         targets = draw_targets(mission, k, leg, demand[k], mission.step * steps)
@@ -80,7 +80,8 @@ def _resolve(
             return resolved
         legs = list(mission.legs)
         for k, begin in departures.items():
-            steps = _choose_steps(resolved, k, legs[k], begin, demand[k], factors[k])
+            begin = begin._replace(mission=resolved)
+            steps = _choose_steps(begin, k, legs[k], demand[k], factors[k])
             legs[k] = replace(legs[k], steps=max(steps, legs[k].steps))
         if legs == list(mission.legs):
             return resolved
@@ -117,7 +118,7 @@ def _depart(
     first = depart(mission, states)
     if number > 0:
         spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
-        first = Departure(np.arange(len(known)), known, spare, 0, begin)
+        first = Departure(mission, np.arange(len(known)), known, spare, 0, begin)
     agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
     state = np.concatenate([first.state, states[len(states) - new :]])
     # Some are lost before others join.
@@ -126,14 +127,8 @@ def _depart(
     return first._replace(agents=agents, state=state, spare=spare, lost=lost)
 
 
-def _choose_steps(
-    mission: Reconfiguration,
-    number: int,
-    leg: Leg,
-    departure: Departure,
-    demand: int,
-    factor: float,
-) -> int:
+def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, factor: float) -> int:
+    mission = departure.mission
     wanted = count_wanted(mission, number)
 
     def targets_after(steps: int) -> Float[Array, "k n"]:
@@ -142,7 +137,7 @@ def _choose_steps(
 
     fixed = targets_after(1)  # but drift-free velocities depend on the time
     after = targets_after if mission.chief is not None else lambda _: fixed
-    least = reach.find_least_steps(mission, f"leg.{number}.steps", departure, after)
+    least = reach.find_least_steps(f"leg.{number}.steps", departure, after)
     return max(ceil(factor * least - 1e-9), _fewest_steps(mission, leg))
 
 

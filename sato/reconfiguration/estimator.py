@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretize import DiscreteModel, discretize_zoh
+from dynamics.discretize import DiscreteModel
 from dynamics.plant import NonlinearPlant
 from sato.reconfiguration.tracking import measurement_deviations
 
@@ -96,7 +96,7 @@ def predict(
     """
     if not (measurement_covariance(mission).any() or mission.tracking):
         return estimate
-    model, count = discretize_zoh(mission.linear_model, mission.step, 1, time), len(control)
+    model, count = mission.discretize(1, time), len(control)
     x = np.concatenate([estimate.mean, estimate.reference])
     u = np.concatenate([control, planned])
     x = np.where(np.isfinite(u).all(axis=1)[:, None], x, np.nan)

@@ -11,7 +11,7 @@ from annotated_types import Lt
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
-from dynamics.discretize import have_equal_steps
+from dynamics.discretize import DiscreteModel, discretize_zoh, have_equal_steps
 from dynamics.double_integrator import DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
@@ -249,6 +249,10 @@ class Motion:
     def linear_model(self) -> LinearModel:
         """Model that all agents share, and auctions price by."""
         return make_linear_model(self.model, self.chief)
+
+    def discretize(self, steps: int, time: float = 0.0) -> DiscreteModel:
+        """Discretize the shared model over some control steps from a time on."""
+        return discretize_zoh(self.linear_model, self.step, steps, time)
 
     @cached_property
     def nonlinear_model(self) -> NonlinearModel | None:

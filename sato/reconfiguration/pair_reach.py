@@ -1,6 +1,6 @@
 """Reach of targets by vehicles that are alone: bounds for all pairs, and single transfers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -14,58 +14,52 @@ from sato.reconfiguration.departure import Departure
 if TYPE_CHECKING:
     from dynamics.discretize import DiscreteModel
     from problems.transfer import TransferProblem
-    from sato.reconfiguration.mission import Reconfiguration
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 
 def is_surely_reached(
-    mission: "Reconfiguration",
-    departure: Departure,
-    targets: Float[Array, "targets n"],
-    steps: int,
-    factor: float,
+    departure: Departure, targets: Float[Array, "targets n"], steps: int, factor: float
 ) -> bool:
     """Return True where the transfers of least energy in all keep the limits of their agents."""
     from scipy.optimize import linear_sum_assignment
 
-    from dynamics.discretize import discretize_zoh
-
-    agents, state, given = departure.agents, departure.state, mission.assignment == "given"
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    agents, state, model = departure.agents, departure.state, departure.discretize(steps)
+    given = departure.mission.assignment == "given"
     if len(targets) < (agents.max() + 1 if given else len(agents)):
         return False
-    transfer = _make_transfer(mission, model, departure, factor)
+    transfer = _make_transfer(departure, model, factor)
     factor_of_reach = transfer.response_matrices[1]  # energy is the square of L⁻¹ b
     ends = np.linalg.solve(factor_of_reach, np.vstack([targets, transfer.coast(state)[:, -1]]).T).T
     goals, free = ends[: len(targets)], ends[len(targets) :]
     energy = ((goals[None] - free[:, None]) ** 2).sum(axis=2)
     held = agents if given else linear_sum_assignment(energy)[1]
-    for rows in group_alike(mission, departure, factor):
-        transfer = _make_transfer(mission, model, select(departure, rows), factor)
+    for rows in group_alike(departure, factor):
+        transfer = _make_transfer(departure.select(rows), model, factor)
         if not transfer.solve_without_limits(state[rows], targets[held[rows]])[2].all():
             return False
     return True
 
 
 def bound_reach(
-    mission: "Reconfiguration",
     departure: Departure,
     targets: Float[Array, "targets n"],
     steps: int,
     factor: float,
-    bounds: Callable[[int], Array],
+    least: Float[Array, "k targets"] | None,
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
     """Return the pairs that may be within reach, and those that certainly are.
 
-    The vehicles have equal limits. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
+    The vehicles have equal limits. Bounds of the control that pairs take are given, unless all are
+    at rest. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
     bounds alone decide, and pairs that are possible count as certain. Given targets of vehicles
     in motion are left to single transfers.
     """
-    start, d, h, agent = departure.state, mission.axes, mission.step, int(departure.agents[0])
-    control, speed = mission.planned_control_limit(agent), _speed_limit(mission, departure, factor)
-    if are_at_rest(mission, start, targets):
+    mission, start, agent = departure.mission, departure.state, int(departure.agents[0])
+    d, h, speed = mission.axes, mission.step, _speed_limit(departure, factor)
+    control = mission.planned_control_limit(agent)
+    if least is None or are_at_rest(departure, targets):
         count = max(1, MAX_PAIRS // max(1, len(targets)))  # few enough to stay in the cache
         parts = [
             _bound_at_rest(some, targets[:, :d], steps, h, factor, control, speed)
@@ -73,12 +67,11 @@ def bound_reach(
         ]
         possible, sure = (np.concatenate(each) for each in zip(*parts, strict=True))
         return possible, sure
-    from dynamics.discretize import discretize_zoh
     from problems.auction_cost import compute_transfer_costs
     from problems.transfer import TransferProblem
 
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    possible = bounds(steps) <= factor * control.most * (1 + 1e-9)
+    possible = least <= factor * control.most * (1 + 1e-9)
     if mission.is_point_mass and speed.most < inf:
         starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
         ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
@@ -92,7 +85,7 @@ def bound_reach(
         return possible, np.zeros_like(possible)
     if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
         return possible, possible
-    model = discretize_zoh(mission.linear_model, h, steps, departure.time)
+    model = departure.discretize(steps)
     transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
     found = compute_transfer_costs(transfer, start, targets)
     possible &= found.is_reachable
@@ -132,49 +125,36 @@ def _directions(
 
 
 def bound_controls(
-    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"], steps: int
+    departure: Departure, targets: Float[Array, "targets n"], steps: int
 ) -> Float[Array, "k targets"]:
     """Compute lower bounds of the control that each pair takes, without the speed limit."""
-    from dynamics.discretize import discretize_zoh
     from problems.auction_cost import compute_displacements
     from problems.reach import bound_least_controls
 
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
+    model = departure.discretize(steps)
     b = compute_displacements(model, departure.state, targets)
     lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
     return np.asarray(lower.reshape(b.shape[:2]))
 
 
 def can_transfer(
-    mission: "Reconfiguration",
-    departure: Departure,
-    target: Float[Array, " n"],
-    steps: int,
-    factor: float,
+    departure: Departure, target: Float[Array, " n"], steps: int, factor: float
 ) -> bool:
     """Tell whether an agent can reach a target, by the program of its transfer."""
-    from dynamics.discretize import discretize_zoh
     from problems.auction_cost import solve_transfer
 
-    model = discretize_zoh(mission.linear_model, mission.step, steps, departure.time)
-    transfer = _make_transfer(mission, model, departure, factor)
+    transfer = _make_transfer(departure, departure.discretize(steps), factor)
     return solve_transfer(transfer, departure.state[0], target) is not None
 
 
-def group_alike(
-    mission: "Reconfiguration", departure: Departure, factor: float
-) -> Iterator[Int[Array, " k"]]:
+def group_alike(departure: Departure, factor: float) -> Iterator[Int[Array, " k"]]:
     """Group agents that have the same limits, and start faster than they plan to fly or not."""
+    mission = departure.mission
     velocity = departure.state[:, mission.axes :]
     for rows in mission.group_by_limits(departure.agents):
         planned = mission.planned_speed_limit(int(departure.agents[rows[0]]), factor)
         is_faster = planned.measure(velocity[rows]) > planned.most
         yield from (part for part in (rows[is_faster], rows[~is_faster]) if len(part))
-
-
-def select(departure: Departure, rows: Int[Array, " k"]) -> Departure:
-    """Return some of the agents of a departure."""
-    return departure._replace(agents=departure.agents[rows], state=departure.state[rows])
 
 
 def find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
@@ -185,23 +165,25 @@ def find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
     return np.asarray(maximum_bipartite_matching(csr_array(reachable), perm_type="column") < 0)
 
 
-def are_at_rest(mission: "Reconfiguration", start: Array, targets: Array) -> bool:
+def are_at_rest(departure: Departure, targets: Float[Array, "targets n"]) -> bool:
     """Tell whether double integrators move from rest to rest, where closed forms decide."""
-    d = mission.axes
-    return mission.is_point_mass and not start[:, d:].any() and not targets[:, d:].any()
+    d = departure.mission.axes
+    moves = departure.state[:, d:].any() or targets[:, d:].any()
+    return departure.mission.is_point_mass and not moves
 
 
 def _make_transfer(
-    mission: "Reconfiguration", model: "DiscreteModel", departure: Departure, factor: float
+    departure: Departure, model: "DiscreteModel", factor: float
 ) -> "TransferProblem":
-    speed = _speed_limit(mission, departure, factor)
-    agent = int(departure.agents[0])
+    mission, agent = departure.mission, int(departure.agents[0])
+    speed = _speed_limit(departure, factor)
     most = factor * mission.planned_control_limit(agent).bound
     return mission.make_transfer(model, agent, max_control=most, max_speed=speed.bound)
 
 
-def _speed_limit(mission: "Reconfiguration", departure: Departure, factor: float) -> Limit:
+def _speed_limit(departure: Departure, factor: float) -> Limit:
     """Return the speed limit of the plans of agents, or their own where they start faster."""
+    mission = departure.mission
     agent, velocity = int(departure.agents[0]), departure.state[:, mission.axes :]
     planned = mission.planned_speed_limit(agent, factor)
     is_faster = (planned.measure(velocity) > planned.most).any()

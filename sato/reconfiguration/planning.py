@@ -124,7 +124,7 @@ def divide_horizon(
         mission, leg or mission.legs[0], mission.step / S
     )
     return AvoidanceHorizon(
-        discretize_zoh(mission.linear_model, mission.step, T, time),
+        mission.discretize(T, time),
         discretize_zoh(mission.linear_model, mission.step / S, T * S, time),
         mission.largest_separation + margin,
         mission.separation_scale,

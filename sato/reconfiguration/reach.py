@@ -6,7 +6,7 @@ from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
@@ -18,7 +18,6 @@ from sato.reconfiguration.pair_reach import (
     find_unmatched,
     group_alike,
     is_surely_reached,
-    select,
 )
 from sato.scenario.errors import InputError, join_names, round_up
 
@@ -43,22 +42,21 @@ def check_reach(mission: "Reconfiguration") -> None:
     """
     for number, leg in enumerate(mission.legs):
         if departure := depart_leg(mission, number):
-            _check_leg(mission, number, departure, leg.targets[: count_wanted(mission, number)])
+            _check_leg(number, departure, leg.targets[: count_wanted(mission, number)])
 
 
-def _check_leg(
-    mission: "Reconfiguration", number: int, departure: Departure, targets: Float[Array, "k n"]
-) -> None:
+def _check_leg(number: int, departure: Departure, targets: Float[Array, "k n"]) -> None:
+    mission = departure.mission
     steps, control = mission.legs[number].steps, float(mission.largest_control.max())
-    room = 1.0 if number == 0 else room_at_start(mission, departure, steps)
-    fault = find_stranded(mission, departure, targets, steps, room)
+    room = 1.0 if number == 0 else room_at_start(departure, steps)
+    fault = find_stranded(departure, targets, steps, room)
     if fault is None:
         return
-    longest = min(MAX_TIME_FACTOR * steps, _longest(mission, departure, targets))
-    bounds = cache(lambda steps: bound_controls(mission, departure, targets, steps))
+    longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
+    bounds = cache(partial(bound_controls, departure, targets))
 
     def is_enough(steps: float, factor: float = 1.0) -> bool:
-        return find_stranded(mission, departure, targets, int(steps), factor, bounds) is None
+        return find_stranded(departure, targets, int(steps), factor, bounds) is None
 
     time = _find_least(is_enough, steps, longest)
     factor = _find_least(lambda f: is_enough(steps, f), 1.0, MAX_CONTROL_FACTOR, CONTROL_PRECISION)
@@ -70,15 +68,14 @@ def _check_leg(
     within, slow = f"in {steps} steps of {mission.step:g} s", mission.slow_speed
     if slow is not None:
         within += f", at {slow:.3g} m/s, from which vehicles stop before they meet others unheard"
-        at_full_speed = replace(mission, allow_undetectable=True)
-        if find_stranded(at_full_speed, departure, targets, steps, room) is None:
+        fast = departure._replace(mission=replace(mission, allow_undetectable=True))
+        if find_stranded(fast, targets, steps, room) is None:
             cures.append(f"swarm.comm_radius_m = {round_up(mission.radius_for_full_speed)}")
     cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
     raise InputError(f"leg.{number}.steps", f"{fault} {within}; {join_names(cures)} would do")
 
 
 def find_least_steps(
-    mission: "Reconfiguration",
     where: str,
     departure: Departure,
     targets_after: Callable[[int], Float[Array, "targets n"]],
@@ -88,7 +85,6 @@ def find_least_steps(
     A search by bisection: with one step less some vehicle cannot.
 
     Args:
-        mission: Model and limits.
         where: Key of the steps, for the error.
         departure: Vehicles at the start of the leg.
         targets_after: States to reach after a number of steps.
@@ -99,9 +95,9 @@ def find_least_steps(
 
     def is_enough(steps: float) -> bool:
         targets = targets_after(int(steps))
-        return find_stranded(mission, departure, targets, int(steps)) is None
+        return find_stranded(departure, targets, int(steps)) is None
 
-    longest = _longest(mission, departure, targets_after(1))
+    longest = _longest(departure, targets_after(1))
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:
         reason = f"no time of up to {longest} steps is enough for all to reach targets"
@@ -109,10 +105,8 @@ def find_least_steps(
     return int(least)
 
 
-def _longest(
-    mission: "Reconfiguration", departure: Departure, targets: Float[Array, "targets n"]
-) -> int:
-    each = 1 if mission.assignment == "given" else len(targets)
+def _longest(departure: Departure, targets: Float[Array, "targets n"]) -> int:
+    each = 1 if departure.mission.assignment == "given" else len(targets)
     return max(1, MAX_PAIRS_TIMES_STEPS // max(1, len(departure.agents) * each))
 
 
@@ -132,7 +126,6 @@ def _find_least(
 
 
 def find_stranded(
-    mission: "Reconfiguration",
     departure: Departure,
     targets: Float[Array, "targets n"],
     steps: int,
@@ -148,19 +141,18 @@ def find_stranded(
     """
     from scipy.optimize import linear_sum_assignment
 
-    at_rest = are_at_rest(mission, departure.state, targets)
-    is_short = not at_rest and steps <= MAX_ENERGY_STEPS
-    if is_short and is_surely_reached(mission, departure, targets, steps, factor):
-        return None
+    is_short, least = steps <= MAX_ENERGY_STEPS, None
+    if not are_at_rest(departure, targets):
+        if is_short and is_surely_reached(departure, targets, steps, factor):
+            return None
+        least = (bounds or partial(bound_controls, departure, targets))(steps)
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
-    bounds = bounds or cache(lambda steps: bound_controls(mission, departure, targets, steps))
     possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
-    for rows in group_alike(mission, departure, factor):
-        part, least = select(departure, rows), partial(_take, bounds, rows)
-        found = bound_reach(mission, part, targets, steps, factor, least)
-        possible[rows], sure[rows] = found
-    if mission.assignment == "given":
+    for rows in group_alike(departure, factor):
+        part, own = departure.select(rows), None if least is None else least[rows]
+        possible[rows], sure[rows] = bound_reach(part, targets, steps, factor, own)
+    if departure.mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
         possible, sure = possible & is_own, sure & is_own
     solves = 0
@@ -182,12 +174,8 @@ def find_stranded(
             if possible[i, j] and not sure[i, j]:
                 if solves == MAX_SOLVES:
                     return None
-                one = select(departure, np.array([i]))
-                possible[i, j] = sure[i, j] = can_transfer(mission, one, targets[j], steps, factor)
+                one = departure.select(np.array([i]))
+                possible[i, j] = sure[i, j] = can_transfer(one, targets[j], steps, factor)
                 solves += 1
                 if not possible[i].any():
                     break
-
-
-def _take(bounds: Callable[[int], Array], rows: Int[Array, " k"], steps: int) -> Array:
-    return np.asarray(bounds(steps)[rows])

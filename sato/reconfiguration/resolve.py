@@ -5,7 +5,6 @@ from math import isfinite
 
 import numpy as np
 
-from dynamics.discretize import discretize_zoh
 from problems.auction_cost import compute_energies
 from problems.convexify import SEPARATION_TOLERANCE
 from sato.reconfiguration.mission import Reconfiguration
@@ -116,7 +115,7 @@ def _control_of_legs(mission: Reconfiguration) -> float:
     """
     most, begin, start = 0.0, 0.0, mission.initial_states
     for leg in mission.legs:
-        model = discretize_zoh(mission.linear_model, mission.step, leg.steps, begin)
+        model = mission.discretize(leg.steps, begin)
         pairs = (start, leg.targets[:1]), (start[:1], leg.targets)
         energy = max(float(compute_energies(model, *pair).max()) for pair in pairs)
         most = max(most, (leg.steps * mission.axes * energy / mission.step) ** 0.5)

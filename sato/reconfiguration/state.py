@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.discretize import DiscreteModel, discretize_zoh
+from dynamics.discretize import DiscreteModel
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths
 from problems.solvers.verified import solve_program
@@ -127,8 +127,7 @@ class DecisionContext(NamedTuple):
 
     def remaining_model(self, clock: int) -> DiscreteModel:
         """Discretize the steps that remain on a clock."""
-        steps = self.leg.steps - clock
-        return discretize_zoh(self.mission.linear_model, self.mission.step, steps, self.time)
+        return self.mission.discretize(self.leg.steps - clock, self.time)
 
     def make_transfer(
         self, model: DiscreteModel, agent: int, tie_break_rise: float = 0.0

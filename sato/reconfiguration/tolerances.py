@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.discretize import DiscreteModel, discretize_zoh, linearize_along
+from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
 from problems.transfer import Trajectory
@@ -68,7 +68,7 @@ def compute_random_margin(
     if mission.tracking is not None:
         return two * mission.tracking.position
     whole = whole if R.any() else 1
-    model = discretize_zoh(mission.linear_model, mission.step, whole + period)
+    model = mission.discretize(whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
     wrong = _believed_covariance(mission) if R.any() else W
     for k in range(whole):
@@ -121,7 +121,7 @@ def _largest_error(
     mission: "Reconfiguration", states: Float[Array, "k n"], t: float, steps: int
 ) -> float:
     largest, d = 0.0, mission.axes
-    model = discretize_zoh(mission.linear_model, mission.step, steps, t)
+    model = mission.discretize(steps, t)
     # A plant flies as many vehicles as there are; rows of NaN are none.
     agents, n = mission.initial_states.shape
     batches = np.full((-(-len(states) // agents), agents, n), np.nan)
@@ -164,7 +164,7 @@ def _solve_alone(
     from problems.auction_cost import compute_energies
     from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 
-    model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
+    model = mission.discretize(leg.steps, t)
     most = [float(limit.most * limit.shares.min()) for limit in mission.control_limits]
     transfer = mission.make_transfer(model, int(np.argmin(most)), objective=mission.objective)
     rows = columns = np.arange(min(len(start), len(leg.targets)))
@@ -194,7 +194,7 @@ def _errors_along(
     """Compute what the plant does otherwise than agents plan in the last steps, from t on."""
     x = np.stack([path.x[-steps - 1 :] for path in paths])
     u = np.stack([path.u[-steps:] for path in paths])
-    model = discretize_zoh(mission.linear_model, mission.step, steps, t)
+    model = mission.discretize(steps, t)
     planned = x = model.simulate(x[:, 0], u)
     if mission.nonlinear_model is not None:
         own = linearize_along(mission.nonlinear_model, x, u, mission.step, t)
@@ -235,7 +235,7 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     braking = ceil(min(needed, steps))
     blind = max(braking + 2, mission.freeze_steps) + mission.replan_steps - 1
     thrusting = max(braking, mission.freeze_steps) + mission.replan_steps - 1
-    left = discretize_zoh(mission.linear_model, mission.step, blind)
+    left = mission.discretize(blind)
     P = undisturbed = _final_covariance(mission, max(steps - blind, 0))
     for k in range(blind):
         thrust = wrong if k >= blind - thrusting else 0.0
@@ -252,7 +252,7 @@ def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n
     """Return the covariance of an estimate after so many steps; 0 without measurement noise."""
     P = R = measurement_covariance(mission)
     if R.any():
-        model = discretize_zoh(mission.linear_model, mission.step, steps)
+        model = mission.discretize(steps)
         W = _believed_covariance(mission)
         for k in range(steps):
             P = correct(spread(model, k, P, W), R)
@@ -274,7 +274,7 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     # In orbit most of a speed belongs to the trajectory; about half of the fuel brakes.
     burned, start, t = 0.0, mission.initial_states[mission.alive], 0.0
     for leg in mission.legs:
-        model = discretize_zoh(mission.linear_model, mission.step, leg.steps, t)
+        model = mission.discretize(leg.steps, t)
         transfer = TransferProblem(model, mission.largest_control)
         fuel = compute_transfer_costs(transfer, start, leg.targets).cost
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
@@ -294,7 +294,7 @@ def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
     start, steps = mission.initial_states[mission.alive], mission.legs[0].steps
     T = steps * mission.step
     free = np.zeros((len(start), steps, mission.axes))
-    modeled = discretize_zoh(mission.linear_model, mission.step, steps).simulate(start, free)[:, -1]
+    modeled = mission.discretize(steps).simulate(start, free)[:, -1]
     exact = NonlinearPlant(J2(chief.orbit)).propagate(start, free[:, 0], 0.0, T)[-1]
     error = np.linalg.norm((modeled - exact)[:, :3], axis=1)
     i = int(np.argmax(error))
