@@ -9,11 +9,10 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
 from dynamics.model import StateSamples
-from dynamics.trajectory_geometry import control_points
 from problems.convexify import AvoidanceHorizon
 from problems.drifts import DriftHorizon, Drifts
 from problems.transfer import Trajectory
-from sato.reconfiguration.free_motion import FREE_ORBITS, simulate
+from sato.reconfiguration.free_motion import FREE_ORBITS, drift_freely, simulate
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans, compute_spent, remaining_controls
@@ -144,11 +143,9 @@ def follow_targets(
     mission: Reconfiguration, leg: Leg, time: float, steps: int
 ) -> tuple[DriftHorizon, Float[Array, "targets later 4 d"]]:
     """Return over what time drifts are looked at, and the free motion of all targets then."""
-    horizon, d = make_horizon(mission, time, steps), mission.axes
-    h, begin = horizon.later.dt, time + steps * mission.step
-    rest = np.zeros((len(leg.targets), len(horizon.later), d))
-    states = simulate(mission, leg.targets, rest, begin, h)
-    return horizon, control_points(states[..., :d], states[..., d:], h)
+    horizon, begin = make_horizon(mission, time, steps), time + steps * mission.step
+    later = len(horizon.later), begin, horizon.later.dt
+    return horizon, drift_freely(mission, leg.targets, *later)
 
 
 def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHorizon:

@@ -53,9 +53,9 @@ class Surroundings(NamedTuple):
     def with_lost(self, lost: Sequence[int], x: Float[Array, "lost n"]) -> "Surroundings":
         """Return the same with vehicles that were lost, which nobody has seen yet."""
         points = (np.zeros((1, x.shape[1] // 2)),) * len(lost)
-        none, unseen = np.zeros(len(lost)), np.zeros((len(self.is_known), len(lost)), dtype=bool)
-        new = Surroundings(x, points, none, none.astype(bool), np.array(lost, dtype=int), unseen)
-        return self.join(new)
+        new = _make(x, points, len(self.is_known))
+        new.is_known[:] = False
+        return self.join(new._replace(vehicle=np.array(lost, dtype=int)))
 
     def after(self, mission: Reconfiguration, x: Float[Array, "agents n"]) -> "Surroundings":
         """Return the same after a step, in which lost vehicles have moved to their states in x."""
@@ -183,26 +183,28 @@ def _place_known(mission: Reconfiguration, time: float, rows: int) -> Surroundin
     return _place(known, mission.axes, time, rows).join(_build_walls(mission, rows))
 
 
+def _make(
+    state: Float[Array, "bodies n"], corners: Sequence[Float[Array, "_ d"]], rows: int
+) -> Surroundings:
+    """Return bodies that are no wall, no vehicle and not thick, all of them known."""
+    none, count = np.zeros(len(state)), len(state)
+    rest = none, none.astype(bool), np.full(count, -1), np.ones((rows, count), dtype=bool)
+    return Surroundings(state, tuple(corners), *rest)
+
+
 def _place(obstacles: Sequence[Obstacle], axes: int, time: float, rows: int) -> Surroundings:
     """Return obstacles at a time, all of them known."""
-    count = len(obstacles)
     each = [np.concatenate([one.place_at(time), one.drift]) for one in obstacles]
-    return Surroundings(
-        np.array(each).reshape(-1, 2 * axes),
-        tuple(one.corners for one in obstacles),
-        np.array([one.thickness for one in obstacles]),
-        np.zeros(count, dtype=bool),
-        np.full(count, -1),
-        np.ones((rows, count), dtype=bool),
-    )
+    state = np.array(each).reshape(-1, 2 * axes)
+    found = _make(state, [one.corners for one in obstacles], rows)
+    return found._replace(thickness=np.array([one.thickness for one in obstacles]))
 
 
 def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
     """Build flat walls as far outside of the allowed positions as vehicles keep from them."""
     d, away = mission.axes, mission.largest_separation
-    none = _place([], d, 0.0, rows)
     if mission.box is None:
-        return none
+        return _make(np.zeros((0, 2 * d)), (), rows)
     low, high = np.asarray(mission.box)
     middle, half = (low + high) / 2, WALL_FACTOR * (high - low)
     state, corners = np.tile(np.append(middle, np.zeros(d)), (2 * d, 1)), []
@@ -212,11 +214,4 @@ def _build_walls(mission: Reconfiguration, rows: int) -> Surroundings:
         wide = wide / (mission.separation_scale or np.ones(d))[axis]
         state[2 * axis, axis], state[2 * axis + 1, axis] = low[axis] - wide, high[axis] + wide
         corners += 2 * [np.unique(corners_of_cube(d) * half * (np.arange(d) != axis), axis=0)]
-    return Surroundings(
-        state,
-        tuple(corners),
-        np.zeros(2 * d),
-        np.ones(2 * d, dtype=bool),
-        np.full(2 * d, -1),
-        np.ones((rows, 2 * d), dtype=bool),
-    )
+    return _make(state, corners, rows)._replace(is_wall=np.ones(2 * d, dtype=bool))
