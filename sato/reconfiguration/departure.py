@@ -1,24 +1,23 @@
 """Departures: vehicles that begin a leg, where, and how many of them need a target."""
 
 from math import floor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
+from problems.minimum_fuel import reachability_matrix
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.feasibility import fewest_agents, target_demand
-
-if TYPE_CHECKING:
-    from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.mission import Reconfiguration
 
 
 class Departure(NamedTuple):
     """Vehicles that begin a leg."""
 
-    mission: "Reconfiguration"  # their model and limits
+    mission: Reconfiguration  # their model and limits
     agents: Int[Array, " k"]
     state: Float[Array, "k n"]
     spare: int = 0  # how many of them need no target of their own
@@ -35,7 +34,7 @@ class Departure(NamedTuple):
         return self._replace(agents=self.agents[rows], state=self.state[rows])
 
 
-def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
+def depart(mission: Reconfiguration, state: Float[Array, "k n"]) -> Departure:
     """Return the agents that begin the first leg; some, not yet known, may be lost before it."""
     alive, spare = np.ones(mission.agent_count, dtype=bool), 0
     for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
@@ -45,13 +44,13 @@ def depart(mission: "Reconfiguration", state: Float[Array, "k n"]) -> Departure:
     return Departure(mission, live, state[live], spare, spare)
 
 
-def count_wanted(mission: "Reconfiguration", number: int) -> int | None:
+def count_wanted(mission: Reconfiguration, number: int) -> int | None:
     """Return how many targets the auctions of a leg may be about; None for all."""
     is_all = mission.uses_all_targets(mission.legs[number])
     return None if is_all else target_demand(mission)[number]
 
 
-def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
+def depart_leg(mission: Reconfiguration, number: int) -> Departure | None:
     """Return the agents that begin a leg of a drawn mission.
 
     Those of later legs are at targets of the leg before. That some have no target among them is
@@ -84,7 +83,7 @@ def depart_leg(mission: "Reconfiguration", number: int) -> Departure | None:
     return Departure(mission, agents, state, spare, lost, begin, names)
 
 
-def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> bool:
+def _is_connected(mission: Reconfiguration, state: Float[Array, "k n"]) -> bool:
     present = np.ones(len(state), dtype=bool)
     position = state[:, : mission.axes]
     graph = CommunicationGraph.from_positions(position, mission.comm_radius, present)
@@ -93,8 +92,6 @@ def _is_connected(mission: "Reconfiguration", state: Float[Array, "k n"]) -> boo
 
 def room_at_start(departure: Departure, steps: int) -> float:
     """Return the factor of the control that makes up for a start within tolerances of a target."""
-    from problems.minimum_fuel import reachability_matrix
-
     mission, d, model = departure.mission, departure.mission.axes, departure.discretize(steps)
     error = np.repeat([mission.position_tolerance, mission.velocity_tolerance], d)
     C = reachability_matrix(model).reshape(2 * d, -1)

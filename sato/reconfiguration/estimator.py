@@ -7,7 +7,7 @@ than the estimate may err, and no control is spent on noise.
 """
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,10 +15,8 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from dynamics.plant import NonlinearPlant
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.tracking import measurement_deviations
-
-if TYPE_CHECKING:
-    from sato.reconfiguration.mission import Reconfiguration
 
 MAX_DEVIATION = 8.0  # standard deviations, from which a reference that is tracked is given up
 GATE_SIGMAS = 3.0  # of the estimate, from which any other reference is given up
@@ -41,7 +39,7 @@ class Estimate(NamedTuple):
 
 
 def update(
-    mission: "Reconfiguration", estimate: Estimate, measured: Float[Array, "agents n"]
+    mission: Reconfiguration, estimate: Estimate, measured: Float[Array, "agents n"]
 ) -> Estimate:
     """Take in what the agents measure; references jump to estimates that differ too much.
 
@@ -63,7 +61,7 @@ def update(
     return found._replace(reference=_keep_reference(mission, found))
 
 
-def _keep_reference(mission: "Reconfiguration", estimate: Estimate) -> Float[Array, "agents n"]:
+def _keep_reference(mission: Reconfiguration, estimate: Estimate) -> Float[Array, "agents n"]:
     """Return the references, or estimates where these are too far from them, or they are none."""
     mean, P, reference = estimate
     off, tracking = mean - reference, mission.tracking
@@ -79,7 +77,7 @@ def _keep_reference(mission: "Reconfiguration", estimate: Estimate) -> Float[Arr
 
 
 def predict(
-    mission: "Reconfiguration",
+    mission: Reconfiguration,
     estimate: Estimate,
     control: Float[Array, "agents d"],
     planned: Float[Array, "agents d"],
@@ -110,7 +108,7 @@ def predict(
 
 
 @lru_cache(maxsize=8)
-def measurement_covariance(mission: "Reconfiguration") -> Float[Array, "n n"]:
+def measurement_covariance(mission: Reconfiguration) -> Float[Array, "n n"]:
     """Return the covariance R of a measurement, which is regular if it is not 0."""
     return np.diag(np.repeat(np.square(measurement_deviations(mission)), mission.axes))
 
@@ -131,7 +129,7 @@ def spread(
 
 
 def control_covariance(
-    mission: "Reconfiguration", control: Float[Array, "agents d"]
+    mission: Reconfiguration, control: Float[Array, "agents d"]
 ) -> Float[Array, "agents d d"]:
     """Return the covariance of the accelerations of a step, in addition to the commanded ones.
 
@@ -148,7 +146,7 @@ def control_covariance(
 
 
 @lru_cache(maxsize=8)
-def model_acceleration(mission: "Reconfiguration") -> float:
+def model_acceleration(mission: Reconfiguration) -> float:
     """Return the acceleration that moves an agent in a step as far as the model errs [m/s²]."""
     from sato.reconfiguration.tolerances import model_error
 

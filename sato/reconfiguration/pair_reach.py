@@ -2,18 +2,20 @@
 
 from collections.abc import Iterator
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
+from dynamics.discretize import DiscreteModel
+from problems.auction_cost import compute_displacements, compute_transfer_costs, solve_transfer
 from problems.limit import Limit
+from problems.reach import bound_least_controls
+from problems.transfer import TransferProblem
 from sato.reconfiguration.departure import Departure
-
-if TYPE_CHECKING:
-    from dynamics.discretize import DiscreteModel
-    from problems.transfer import TransferProblem
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
@@ -23,8 +25,6 @@ def is_surely_reached(
     departure: Departure, targets: Float[Array, "targets n"], steps: int, factor: float
 ) -> bool:
     """Return True where the transfers of least energy in all keep the limits of their agents."""
-    from scipy.optimize import linear_sum_assignment
-
     agents, state, model = departure.agents, departure.state, departure.discretize(steps)
     given = departure.mission.assignment == "given"
     if len(targets) < (agents.max() + 1 if given else len(agents)):
@@ -67,9 +67,6 @@ def bound_reach(
         ]
         possible, sure = (np.concatenate(each) for each in zip(*parts, strict=True))
         return possible, sure
-    from problems.auction_cost import compute_transfer_costs
-    from problems.transfer import TransferProblem
-
     # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
     possible = least <= factor * control.most * (1 + 1e-9)
     if mission.is_point_mass and speed.most < inf:
@@ -128,9 +125,6 @@ def bound_controls(
     departure: Departure, targets: Float[Array, "targets n"], steps: int
 ) -> Float[Array, "k targets"]:
     """Compute lower bounds of the control that each pair takes, without the speed limit."""
-    from problems.auction_cost import compute_displacements
-    from problems.reach import bound_least_controls
-
     model = departure.discretize(steps)
     b = compute_displacements(model, departure.state, targets)
     lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
@@ -141,8 +135,6 @@ def can_transfer(
     departure: Departure, target: Float[Array, " n"], steps: int, factor: float
 ) -> bool:
     """Tell whether an agent can reach a target, by the program of its transfer."""
-    from problems.auction_cost import solve_transfer
-
     transfer = _make_transfer(departure, departure.discretize(steps), factor)
     return solve_transfer(transfer, departure.state[0], target) is not None
 
@@ -159,9 +151,6 @@ def group_alike(departure: Departure, factor: float) -> Iterator[Int[Array, " k"
 
 def find_unmatched(reachable: Bool[Array, "k targets"]) -> Bool[Array, " k"]:
     """Find the agents that are left over where as many as can be get a target of their own."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import maximum_bipartite_matching
-
     return np.asarray(maximum_bipartite_matching(csr_array(reachable), perm_type="column") < 0)
 
 
@@ -172,9 +161,7 @@ def are_at_rest(departure: Departure, targets: Float[Array, "targets n"]) -> boo
     return departure.mission.is_point_mass and not moves
 
 
-def _make_transfer(
-    departure: Departure, model: "DiscreteModel", factor: float
-) -> "TransferProblem":
+def _make_transfer(departure: Departure, model: DiscreteModel, factor: float) -> TransferProblem:
     mission, agent = departure.mission, int(departure.agents[0])
     speed = _speed_limit(departure, factor)
     most = factor * mission.planned_control_limit(agent).bound

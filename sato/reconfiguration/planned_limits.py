@@ -5,7 +5,6 @@ from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from jaxtyping import Int
 from numpy import ndarray as Array
 
@@ -88,13 +87,7 @@ class PlannedLimits(Vehicles):
         Args:
             agents: Numbers of the agents.
         """
-        if len(self.control_limits) == 1:
-            return [(self.planned_control_limit(0), np.arange(len(agents)))]
-        rows: dict[bytes, list[int]] = {}
-        for row, i in enumerate(agents.tolist()):
-            bound = np.asarray(self.planned_control_limit(i).bound)
-            rows.setdefault(bound.tobytes(), []).append(row)
-        groups = [np.array(some) for some in rows.values()]
+        groups = self.group_by_limits(agents)
         return [(self.planned_control_limit(int(agents[some[0]])), some) for some in groups]
 
     @cached_property

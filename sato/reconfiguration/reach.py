@@ -3,13 +3,14 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.optimize import linear_sum_assignment
 
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
+from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.pair_reach import (
     are_at_rest,
     bound_controls,
@@ -21,9 +22,6 @@ from sato.reconfiguration.pair_reach import (
 )
 from sato.scenario.errors import InputError, join_names, round_up
 
-if TYPE_CHECKING:
-    from sato.reconfiguration.mission import Reconfiguration
-
 MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not what is missing
 MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
@@ -32,7 +30,7 @@ MAX_ENERGY_STEPS = 500  # above which the matrices of the least energy are too l
 MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
 
 
-def check_reach(mission: "Reconfiguration") -> None:
+def check_reach(mission: Reconfiguration) -> None:
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
 
     Raises:
@@ -139,8 +137,6 @@ def find_stranded(
     Bounds decide most pairs. Of the others, transfers are solved one by one, as far as an
     assignment depends on them, up to `MAX_SOLVES`; beyond, they are taken as possible.
     """
-    from scipy.optimize import linear_sum_assignment
-
     is_short, least = steps <= MAX_ENERGY_STEPS, None
     if not are_at_rest(departure, targets):
         if is_short and is_surely_reached(departure, targets, steps, factor):

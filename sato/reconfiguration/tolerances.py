@@ -1,7 +1,6 @@
 """Errors of a wrong model and of noise, and the margins and tolerances that follow from them."""
 
 from math import ceil, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -19,11 +18,9 @@ from sato.reconfiguration.estimator import (
     spread,
 )
 from sato.reconfiguration.leg import Leg
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.tracking import MAX_RESERVE, largest_disturbance
-
-if TYPE_CHECKING:
-    from sato.reconfiguration.mission import Reconfiguration
-    from sato.reconfiguration.orbit import Chief
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
 TOLERANCE_SIGMAS = 6.0  # of random errors on arrival: exceeded once in 10⁷ arrivals
@@ -32,7 +29,7 @@ CONTROL_ROOM = 0.1  # of the limit, without which a control is no correction
 MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 
 
-def compute_margin(mission: "Reconfiguration") -> float:
+def compute_margin(mission: Reconfiguration) -> float:
     """Compute by how much two agents may come closer than planned until they plan again [m].
 
         2 max |model − plant| + max min(5 √2 c, (2 g + 5 √2) s)
@@ -48,9 +45,7 @@ def compute_margin(mission: "Reconfiguration") -> float:
     return 2 * model_error(mission, period) + compute_random_margin(mission, period, whole)
 
 
-def compute_random_margin(
-    mission: "Reconfiguration", period: int, whole: int = LONG_FLIGHT
-) -> float:
+def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LONG_FLIGHT) -> float:
     """Compute by how much random errors may bring two agents closer than planned [m].
 
     An agent measures at instant k; s is the standard deviation of its position a replanning
@@ -81,11 +76,11 @@ def compute_random_margin(
     return most
 
 
-def _acceleration_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
+def _acceleration_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
     return np.asarray(np.eye(mission.axes) * largest_disturbance(mission) ** 2)
 
 
-def _believed_covariance(mission: "Reconfiguration") -> Float[Array, "d d"]:
+def _believed_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
     """Return the same with the errors of the model, by which agents filter their measurements."""
     wrong = model_acceleration(mission) ** 2 * np.eye(mission.axes)
     return np.asarray(_acceleration_covariance(mission) + wrong)
@@ -104,7 +99,7 @@ def _largest_sigmas(P: Float[Array, "n n"]) -> tuple[float, float]:
     return sqrt(max(position, 0.0)), sqrt(max(velocity, 0.0))
 
 
-def model_error(mission: "Reconfiguration", steps: int) -> float:
+def model_error(mission: Reconfiguration, steps: int) -> float:
     """Compute the largest error of the shared model over some steps [m].
 
     It is taken from all starts and targets, at nine instants of the mission.
@@ -118,7 +113,7 @@ def model_error(mission: "Reconfiguration", steps: int) -> float:
 
 
 def _largest_error(
-    mission: "Reconfiguration", states: Float[Array, "k n"], t: float, steps: int
+    mission: Reconfiguration, states: Float[Array, "k n"], t: float, steps: int
 ) -> float:
     largest, d = 0.0, mission.axes
     model = mission.discretize(steps, t)
@@ -136,7 +131,7 @@ def _largest_error(
     return largest
 
 
-def model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
+def model_error_on_arrival(mission: Reconfiguration) -> tuple[float, float]:
     """Return how far, and how fast, a wrong model leaves an agent from its target [m, m/s].
 
     Its error is corrected until the last plan that can, and no further: it is that of the steps
@@ -156,7 +151,7 @@ def model_error_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
 
 
 def _solve_alone(
-    mission: "Reconfiguration", start: Float[Array, "k n"], leg: Leg, t: float
+    mission: Reconfiguration, start: Float[Array, "k n"], leg: Leg, t: float
 ) -> list[Trajectory]:
     """Solve the transfers of an assignment, for the weakest vehicle; without those out of reach."""
     from scipy.optimize import linear_sum_assignment
@@ -174,7 +169,7 @@ def _solve_alone(
     return [path for path in found if path is not None]
 
 
-def _uncorrected_steps(mission: "Reconfiguration", paths: list[Trajectory]) -> int:
+def _uncorrected_steps(mission: Reconfiguration, paths: list[Trajectory]) -> int:
     """Count the steps before arrival in which an agent may correct nothing.
 
     Two steps are the least in which a control sets both position and velocity right, if it has
@@ -189,7 +184,7 @@ def _uncorrected_steps(mission: "Reconfiguration", paths: list[Trajectory]) -> i
 
 
 def _errors_along(
-    mission: "Reconfiguration", paths: list[Trajectory], steps: int, t: float
+    mission: Reconfiguration, paths: list[Trajectory], steps: int, t: float
 ) -> Float[Array, "k n"]:
     """Compute what the plant does otherwise than agents plan in the last steps, from t on."""
     x = np.stack([path.x[-steps - 1 :] for path in paths])
@@ -214,7 +209,7 @@ def _errors_along(
     return np.asarray(flown[: len(x)] - planned[:, -1])
 
 
-def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
+def noise_on_arrival(mission: Reconfiguration) -> tuple[float, float]:
     """Return how far, and how fast, noise leaves an agent from its target [m, m/s].
 
     An agent that brakes with all its control corrects nothing, and two steps before that are
@@ -248,7 +243,7 @@ def noise_on_arrival(mission: "Reconfiguration") -> tuple[float, float]:
     return position, velocity
 
 
-def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n n"]:
+def _final_covariance(mission: Reconfiguration, steps: int) -> Float[Array, "n n"]:
     """Return the covariance of an estimate after so many steps; 0 without measurement noise."""
     P = R = measurement_covariance(mission)
     if R.any():
@@ -259,7 +254,7 @@ def _final_covariance(mission: "Reconfiguration", steps: int) -> Float[Array, "n
     return P
 
 
-def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
+def _speed_to_lose(mission: Reconfiguration, steps: int) -> float:
     """Return the most speed that an agent has to lose on arrival [m/s]."""
     from scipy.optimize import linear_sum_assignment
 
@@ -282,7 +277,7 @@ def _speed_to_lose(mission: "Reconfiguration", steps: int) -> float:
     return min(fastest, burned / 2)
 
 
-def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
+def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
     """List doubts about a linear model of relative motion where the swarm flies.
 
     Compares it with the exact motion under J2: the free flight of all agents that are there
@@ -309,7 +304,7 @@ def model_doubts(mission: "Reconfiguration", chief: "Chief") -> list[str]:
     ]
 
 
-def tracking_doubts(mission: "Reconfiguration") -> list[str]:
+def tracking_doubts(mission: Reconfiguration) -> list[str]:
     """List doubts about the margin and the control of agents that follow references."""
     doubts, needed = list[str](), compute_margin(mission)
     if mission.margin < needed * (1 - 1e-9):

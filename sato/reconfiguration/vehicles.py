@@ -1,7 +1,7 @@
 """Limits of the vehicles of a mission: the same for all, one a vehicle, or one an axis."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,9 +11,6 @@ from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
 from sato.scenario.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 PerVehicle = float | tuple[float, ...]  # the same for all, or an entry for each
 
