@@ -7,6 +7,7 @@ it can stop clear of all others, or does not join.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -125,32 +126,56 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     )
 
 
-def admit(
-    mission: Reconfiguration,
-    waiting: list[int],
-    x: Float[Array, "agents n"],
-    alive: Bool[Array, " agents"],
-    committed: Commitments,
-    instant: int,
-    around: Surroundings | None = None,
-) -> list[int]:
-    """Return those of the vehicles that wait to join that have room, one after another.
+class Traffic(NamedTuple):
+    """All that is there at an instant, where vehicles may join."""
 
-    Args:
-        mission: A drawn mission.
-        waiting: Numbers of the vehicles.
-        x: States of all, also of those with which they join.
-        alive: True for those that are there.
-        committed: What these have committed to.
-        instant: Steps since the start of the mission.
-        around: Surroundings at this instant.
-    """
-    alive, joined = alive.copy(), list[int]()
-    for i in waiting:
-        if has_room(mission, i, x, alive, committed, instant, around):
-            alive[i] = True
-            joined.append(i)
-    return joined
+    mission: Reconfiguration  # drawn
+    x: Float[Array, "agents n"]  # states of all; of those that join, the ones with which they do
+    alive: Bool[Array, " agents"]  # True for those that are there
+    committed: Commitments  # what these have committed to
+    instant: int  # steps since the start of the mission
+    around: Surroundings | None  # at this instant, of which those that join need not know
+
+    def admit(self, waiting: list[int]) -> list[int]:
+        """Return those of the vehicles that wait to join that have room, one after another."""
+        alive, joined = self.alive.copy(), list[int]()
+        for i in waiting:
+            if self._replace(alive=alive).has_room(i):
+                alive[i] = True
+                joined.append(i)
+        return joined
+
+    def has_room(self, agent: int) -> bool:
+        """Tell whether one that joins is clear of what others have committed to, and all else.
+
+        That is, if it stops at once or, in orbit, drifts for T_H steps.
+        """
+        mission, around = self.mission, self.around
+        agents = np.append(np.flatnonzero(self.alive), agent)
+        if around is not None:
+            around = around._replace(is_known=np.ones_like(around.is_known))
+        if mission.is_point_mass:
+            escape = around.escape_steps(mission, agent) if around else 0
+            own = self.committed, self.instant, escape
+            horizon, *_, paths = _fly_on(mission, agents, self.x[agents], *own)
+        else:
+            horizon, paths = self._drift_on(agents)
+        if around is not None:
+            known = around.known_to(mission, agent, around.fly(mission, horizon), horizon.clearance)
+            if not is_path_clear(paths[-1], known):
+                return False
+        clearance = mission.own_clearances(horizon.clearance, agents)
+        radius = (clearance[:-1] + clearance[-1]) / 2
+        return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
+
+    def _drift_on(self, agents: Int[Array, " some"]) -> tuple[AvoidanceHorizon, Array]:
+        """Return T_H steps, and control points, of agents in orbit that decide no more."""
+        mission, T, t = self.mission, self.mission.horizon_steps, self.instant * self.mission.step
+        own = self.committed, self.instant
+        held = [committed_controls(mission, i, *own)[:T] for i in agents.tolist()]
+        u, horizon = pad_controls(held, T), divide_horizon(mission, t, T)
+        x = simulate(mission, self.x[agents], u, t, mission.step)
+        return horizon, horizon.control_points(x, u)
 
 
 def check_room(mission: Reconfiguration) -> None:
@@ -162,52 +187,14 @@ def check_room(mission: Reconfiguration) -> None:
     due = [i for agents, at_step in mission.joining(0) if at_step == 0 for i in agents]
     if mission.waits[due].all():
         return
-    committed, x = find_first_commitments(mission), mission.initial_states
-    joined = admit(mission, due, x, mission.alive, committed, 0, find_surroundings(mission))
+    committed, around = find_first_commitments(mission), find_surroundings(mission)
+    start = Traffic(mission, mission.initial_states, mission.alive, committed, 0, around)
+    joined = start.admit(due)
     for i in due:
         if i not in joined and not mission.waits[i]:
             reason = f'agent {i} cannot join and stop clear of all others, and room = "refuse"'
             cures = 'another start, a later at_step, or room = "wait" would do'
             raise InputError("leg.0.join", f"{reason}; {cures}")
-
-
-def has_room(
-    mission: Reconfiguration,
-    agent: int,
-    x: Float[Array, "agents n"],
-    alive: Bool[Array, " agents"],
-    committed: Commitments,
-    instant: int,
-    around: Surroundings | None = None,
-) -> bool:
-    """Tell whether a vehicle that joins is clear of what others have committed to, and all else.
-
-    That is, if it stops at once or, in orbit, drifts for T_H steps.
-
-    Args:
-        mission: A drawn mission.
-        agent: Number of the vehicle.
-        x: States of all; its own is that with which it joins.
-        alive: True for those that are there.
-        committed: What these have committed to.
-        instant: Steps since the start of the mission.
-        around: Surroundings at this instant, of which it need not know.
-    """
-    agents = np.append(np.flatnonzero(alive), agent)
-    if around is not None:
-        around = around._replace(is_known=np.ones_like(around.is_known))
-    escape = around.escape_steps(mission, agent) if around else 0
-    if mission.is_point_mass:
-        horizon, *_, paths = _fly_on(mission, agents, x[agents], committed, instant, escape)
-    else:
-        horizon, paths = _drift_on(mission, agents, x[agents], committed, instant)
-    if around is not None:
-        flown = around.fly(mission, horizon)
-        if not is_path_clear(paths[-1], around.known_to(mission, agent, flown, horizon.clearance)):
-            return False
-    clearance = mission.own_clearances(horizon.clearance, agents)
-    radius = (clearance[:-1] + clearance[-1]) / 2
-    return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
 
 
 def _fly_on(
@@ -228,21 +215,6 @@ def _fly_on(
     horizon = stopping_horizon(mission, u.shape[1])
     x = horizon.discrete_model.simulate(state, u)
     return horizon, u, x, horizon.control_points(x, u)
-
-
-def _drift_on(
-    mission: Reconfiguration,
-    agents: Int[Array, " agents"],
-    state: Float[Array, "agents n"],
-    committed: Commitments,
-    instant: int,
-) -> tuple[AvoidanceHorizon, Array]:
-    """Return T_H steps, and control points over them, of agents in orbit that decide no more."""
-    T, t = mission.horizon_steps, instant * mission.step
-    held = [committed_controls(mission, i, committed, instant)[:T] for i in agents.tolist()]
-    u, horizon = pad_controls(held, T), divide_horizon(mission, t, T)
-    x = simulate(mission, state, u, t, mission.step)
-    return horizon, horizon.control_points(x, u)
 
 
 def check_reach(mission: Reconfiguration) -> None:

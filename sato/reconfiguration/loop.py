@@ -14,7 +14,7 @@ from sato.reconfiguration.assignment import assign_targets, keep_targets
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
-from sato.reconfiguration.first_commitment import admit, find_first_commitments, has_room
+from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
@@ -134,10 +134,13 @@ class _Flight:
 
     def _are_joins_passed(self) -> bool:
         """Tell whether it is something that passes, and no agent, for which one waits to join."""
-        nobody, k, around = np.zeros_like(self.alive), self.step_index, self.surroundings
-        return not all(
-            has_room(self.mission, i, self.x, nobody, {}, k, around) for i in self.waiting
-        )
+        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
+        return not all(map(nobody.has_room, self.waiting))
+
+    @property
+    def _traffic(self) -> Traffic:
+        own = self.x, self.alive, self.committed, self.step_index, self.surroundings
+        return Traffic(self.mission, *own)
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
         self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
@@ -152,8 +155,7 @@ class _Flight:
         self.alive, waits = self.alive.copy(), self.mission.waits
         for agents, at_step in self.mission.joining(self.leg_index):
             self.waiting += agents if at_step == k else []
-        own = self.x, self.alive, self.committed, self.step_index, self.surroundings
-        joined = admit(self.mission, self.waiting, *own)
+        joined = self._traffic.admit(self.waiting)
         self.alive[joined] = True
         if joined:  # the deadline of the leg is that of all
             clock = self.memory.clock.copy()
