@@ -170,25 +170,19 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
 
 
 def are_pairs_separated(
-    paths: Float[Array, "k pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    paths: Float[Array, "k pieces 4 d"], radius: float
 ) -> Bool[Array, "pairs pieces"]:
-    """Return `are_hulls_separated` of each piece for pairs of paths, in little memory.
+    """Return `are_hulls_separated` of each piece for all pairs of paths, in little memory.
 
-    Args:
-        paths: Control points [m].
-        i: First path of each pair.
-        j: Second one.
-        radius: Distance that each pair keeps [m].
+    The pairs are in the order of `numpy.triu_indices`.
     """
+    i, j = np.triu_indices(len(paths), 1)
     separated = np.empty((len(i), paths.shape[1]), dtype=bool)
     count = max(1, MAX_COORDINATES // max(1, paths[0].size)) if len(paths) else 1
     for begin in range(0, len(i), count):
         some = slice(begin, begin + count)
         relative = paths[i[some]] - paths[j[some]]
-        separated[some] = are_hulls_separated(relative, radius[some])
+        separated[some] = are_hulls_separated(relative, radius)
     return separated
 
 

@@ -26,6 +26,7 @@ from problems.convexify import (
     choose_normals,
 )
 from problems.half_spaces import HalfSpaces
+from problems.transfer import Trajectory
 
 PARTS = 4  # into which pieces that come near are divided: hulls are wider than what they hold
 NEARBY_FACTOR = 2.0  # times the distance: what comes nearer is constrained from the first
@@ -143,20 +144,18 @@ class DriftHorizon:
             end[..., :count, piece, :] = moving
         return begin, end
 
-    def predict(
-        self, own: Drifts, nominal: StateSamples, x: StateSamples, u: ControlSamples
-    ) -> Drifts:
+    def predict(self, own: Drifts, nominal: Trajectory, plan: Trajectory) -> Drifts:
         """Return the motion along a plan near its nominal, by the linear model.
 
         Args:
             own: Motion along the nominal.
-            nominal: States of the nominal.
-            x: States of the plan.
-            u: Its controls.
+            nominal: Nominal.
+            plan: Plan.
         """
+        x, u, _ = plan
         moved = np.zeros((self.steps.steps, x.shape[-1]))
         count = min(len(u), len(moved))
-        moved[:count] = x[:count] - nominal[:count]
+        moved[:count] = x[:count] - nominal.x[:count]
         moves = np.einsum("rjdn,rn->rjd", self._all_maps, moved[self.step])
         path = own.path.copy()
         d = u.shape[-1]
@@ -217,8 +216,7 @@ class DriftHorizon:
         own: Drifts,
         others: Drifts,
         encounters: tuple[Encounters, Encounters],
-        x: StateSamples,
-        u: ControlSamples,
+        nominal: Trajectory,
         side: PassingSide = "same",
     ) -> HalfSpaces:
         """Constrain a plan so that it keeps the distance in encounters [Morgan2016, eq. 64].
@@ -227,18 +225,17 @@ class DriftHorizon:
             own: Motion of the vehicle along its nominal.
             others: Motion of the others.
             encounters: Of its own drifts with plans of others, and of its plan with their drifts.
-            x: States of the nominal.
-            u: Controls of the nominal.
+            nominal: Nominal.
             side: Side on which to pass.
         """
         of_drifts, of_plan = encounters
         (other, row), (met, theirs) = of_drifts, of_plan
         relative = own.drifts[row] - others.path[other, self.piece[row]]
         P, k = self._drift_maps(row), self.piece[theirs]
-        rows = self._make_rows(of_drifts, self.step[row], relative, P, None, x, u, side)
+        rows = self._make_rows(of_drifts, self.step[row], relative, P, None, nominal, side)
         relative = own.path[k] - others.drifts[met, theirs]
         P, Q, _ = (part[k, 0] for part in self.steps.control_point_maps)
-        return rows.join(self._make_rows(of_plan, k, relative, P, Q, x, u, side))
+        return rows.join(self._make_rows(of_plan, k, relative, P, Q, nominal, side))
 
     def _drift_maps(self, rows: Int[Array, " rows"]) -> Float[Array, "rows 4 d n"]:
         """Return the matrices that take the state at which thrust is lost to control points."""
@@ -257,10 +254,10 @@ class DriftHorizon:
         relative: Float[Array, "rows 4 d"],
         P: Float[Array, "rows 4 d n"],
         Q: Float[Array, "rows 4 d m"] | None,
-        x: StateSamples,
-        u: ControlSamples,
+        nominal: Trajectory,
         side: PassingSide,
     ) -> HalfSpaces:
+        x, u, _ = nominal
         points = divide_pieces(relative, PARTS)
         normal = np.empty((*points.shape[:2], points.shape[-1]))
         required = np.empty(len(points))

@@ -11,6 +11,7 @@ from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import divide_pieces, evaluate_bezier
 from problems.convexify import AvoidanceHorizon
 from problems.drifts import DriftHorizon, Drifts
+from problems.transfer import Trajectory
 
 N, DT, STEPS, H, LATER = 0.001, 60.0, 6, 120.0, 30
 MODEL = ClohessyWiltshire(N)
@@ -76,7 +77,8 @@ def test_prediction_is_exact_for_a_linear_model():
     rng = np.random.default_rng(3)
     x, u = draw_plan(rng)
     other = draw_plan(rng, x[0])
-    predicted = HORIZON.predict(HORIZON.follow(x, u), x, *other)
+    plans = Trajectory(x, u, 0.0), Trajectory(*other, 0.0)
+    predicted = HORIZON.predict(HORIZON.follow(x, u), *plans)
     exact = HORIZON.follow(*other)
     assert np.allclose(predicted.drifts, exact.drifts, atol=1e-6)
     assert np.allclose(predicted.path[:STEPS], exact.path[:STEPS], atol=1e-6)
@@ -98,7 +100,7 @@ def test_plans_within_the_half_spaces_keep_their_distance(seed, side):
     stacked = Drifts(*(np.stack(parts) for parts in zip(*others, strict=True)))
     above = rng.random(4) < 0.6
     met = HORIZON.find_encounters(own, stacked, above, 4.0)
-    rows = HORIZON.constrain(own, stacked, met, x, u, side)
+    rows = HORIZON.constrain(own, stacked, met, Trajectory(x, u, 0.0), side)
     for size in (1e-5, 1e-4, 1e-3, 1e-2):
         plan = draw_plan(rng, x[0], size)
         kept = rows.violation(*plan) <= 0
@@ -122,7 +124,8 @@ def test_nominal_that_keeps_the_distance_satisfies_its_half_spaces():
         if any(len(e.row) for e in HORIZON.find_encounters(own, others, np.ones(1, bool), 1.001)):
             continue
         found += sum(len(each.row) for each in met)
-        assert HORIZON.constrain(own, others, met, x, u).violation(x, u).max(initial=-1) <= 1e-9
+        rows = HORIZON.constrain(own, others, met, Trajectory(x, u, 0.0))
+        assert rows.violation(x, u).max(initial=-1) <= 1e-9
     assert found > 50
 
 

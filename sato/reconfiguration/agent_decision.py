@@ -278,7 +278,7 @@ class Decision(NamedTuple):
         return decision._share_claims(reports)._announce_terms("first")
 
     def _keep_targets(self) -> "Decision":
-        """Claim again the targets that all hold, as `keep_targets`."""
+        """Claim again the targets that all hold, as `claim_targets`."""
         target = self.context.memory.claimed_target[self.number, list(self.members)]
         return self._claim(dict(zip(self.members, target.tolist(), strict=True)))
 

@@ -140,12 +140,8 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
     return replace(memory, claimed_target=target, claim_step=step, clock=clock)
 
 
-def keep_targets(context: DecisionContext) -> AgentMemory:
-    """Claim again, in components that have not changed, the targets that their agents hold."""
-    return _claim(context, context.memory)
-
-
-def _claim(context: DecisionContext, memory: AgentMemory) -> AgentMemory:
+def claim_targets(context: DecisionContext, memory: AgentMemory) -> AgentMemory:
+    """Claim the targets that agents hold, also again in components that have not changed."""
     graph, alive = context.graph, context.graph.alive
     together = (graph.component[:, None] == graph.component) & alive[:, None] & alive
     return replace(
@@ -163,7 +159,7 @@ def _remember(context: DecisionContext, auction: VsdaaResult) -> AgentMemory:
         target_count=np.where(alive, auction.target_count, memory.target_count),
         bidder_count=np.where(alive, auction.bidder_count, memory.bidder_count),
     )
-    return _claim(context, held)
+    return claim_targets(context, held)
 
 
 def run_auction(

@@ -163,19 +163,11 @@ def _list_evasions(
     for c in sorted(met):
         rows = np.flatnonzero(component == c)
         horizon = stopping_horizon(mission, int(offers.steps[rows].max()))
-        T, pieces = horizon.steps, len(horizon.fine_model)
-        reports = [
-            make_report(
-                context,
-                i := int(offers.agents[a]),
-                plans[i].priority,
-                horizon,
-                u[a, :T],
-                paths[a, :pieces],
-                float(offers.clearance[a]),
-            )
-            for a in rows
-        ]
+        T, pieces, reports = horizon.steps, len(horizon.fine_model), []
+        for a in rows:
+            i, kept = int(offers.agents[a]), float(offers.clearance[a])
+            own = i, plans[i].priority, horizon, u[a, :T], paths[a, :pieces], kept
+            reports.append(make_report(context, *own))
         after = find_evasions(mission, horizon, reports)
         found |= {i: report.u for i, report in after.items()}
     return found

@@ -250,6 +250,11 @@ def memory_demand(mission: "Reconfiguration", agents: int) -> float:
     return demand + frames
 
 
+def _list_events(leg: Leg) -> list[Join | Loss]:
+    # At one step agents join before others are lost, as in the flight.
+    return sorted([*leg.joins, *leg.losses], key=lambda event: event.at_step)
+
+
 @lru_cache(maxsize=2)  # asked for by each leg of a mission
 def target_demand(mission: "Reconfiguration") -> tuple[int, ...]:
     """Return the fewest targets that each leg must have, whatever is drawn.
@@ -265,9 +270,7 @@ def target_demand(mission: "Reconfiguration") -> tuple[int, ...]:
         if leg.recount:  # of bids before late losses
             believed = peak
         peak = 0
-        # At one step agents join before others are lost, as in the flight.
-        events: list[Join | Loss] = [*leg.joins, *leg.losses]
-        for event in sorted(events, key=lambda event: event.at_step):
+        for event in _list_events(leg):
             if event.at_step > 0:
                 peak = max(peak, live)
             if isinstance(event, Join):
@@ -292,9 +295,7 @@ def fewest_agents(mission: "Reconfiguration") -> tuple[int, ...]:
     live, known_lost = mission.agent_count, set[int]()
     for leg in mission.legs:
         staying = live
-        # At one step agents join before others are lost, as in the flight.
-        events: list[Join | Loss] = [*leg.joins, *leg.losses]
-        for event in sorted(events, key=lambda event: event.at_step):
+        for event in _list_events(leg):
             if isinstance(event, Join):
                 live += event.size
                 staying += event.size if event.at_step == 0 else 0

@@ -34,9 +34,8 @@ def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, 
     h = mission.step if period is None else period / PIECES_PER_ORBIT
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
     paths = drift_freely(mission, leg.targets, count, arrival * mission.step, h)
-    i, j = np.triu_indices(len(paths), 1)
-    radius = np.full(len(i), mission.largest_separation + mission.margin)
-    clear = convexify.are_pairs_separated(paths, i, j, radius).all(axis=0)
+    radius = mission.largest_separation + mission.margin
+    clear = convexify.are_pairs_separated(paths, radius).all(axis=0)
     return count if clear.all() else int(clear.argmin()), h
 
 

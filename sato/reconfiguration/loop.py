@@ -10,7 +10,7 @@ from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import estimator, planning, state
-from sato.reconfiguration.assignment import assign_targets, keep_targets
+from sato.reconfiguration.assignment import assign_targets, claim_targets
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -221,7 +221,7 @@ class _Flight:
             if moved.any():
                 self._note("assignment", moved, target=memory.target_index[moved].tolist())
         elif bids_on_change(self.mission):
-            self.memory = keep_targets(context)
+            self.memory = claim_targets(context, context.memory)
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
         if self.mission.is_point_mass:

@@ -69,15 +69,12 @@ def check_targets(mission: "Reconfiguration") -> None:
     for number, leg in enumerate(mission.legs):
         horizon, arrivals = follow_targets(mission, leg, begun * mission.step, leg.steps)
         begun += leg.steps
-        i, j = np.triu_indices(len(arrivals), 1)
-        clear = are_pairs_separated(
-            arrivals, i, j, np.full(len(i), KEPT_FACTOR * horizon.distance)
-        ).all(axis=1)
+        clear = are_pairs_separated(arrivals, KEPT_FACTOR * horizon.distance).all(axis=1)
         if not clear.all():
-            a = int(clear.argmin())
+            i, j = (rows[clear.argmin()] for rows in np.triu_indices(len(arrivals), 1))
             raise InputError(
                 "plan.passive_safety_m",
-                f"targets {i[a]} and {j[a]} of leg {number} come within "
+                f"targets {i} and {j} of leg {number} come within "
                 f"{mission.passive_safety:g} m of each other as they drift; a smaller distance, a "
                 "wider shape or fewer targets would do",
             )

@@ -219,15 +219,10 @@ def _drift_free_velocities(
 
 def _velocity_times(mission: Reconfiguration) -> list[float]:
     """Return all times at which agents start, join or arrive, as planned [s]."""
-    begins = _leg_times(mission)
+    begins = [mission.step * k for k in accumulate((leg.steps for leg in mission.legs), initial=0)]
     each = zip(begins, mission.legs, strict=False)
     joins = [begin + join.at_step * mission.step for begin, leg in each for join in leg.joins]
     return begins + joins
-
-
-def _leg_times(mission: Reconfiguration) -> list[float]:
-    """Return the times at which each leg begins, and the last one ends, as planned [s]."""
-    return [mission.step * k for k in accumulate((leg.steps for leg in mission.legs), initial=0)]
 
 
 def as_listed_points(states: Float[Array, "k n"]) -> Points:

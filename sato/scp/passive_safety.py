@@ -67,13 +67,12 @@ class DriftConflicts(NamedTuple):
     def with_solution(self, found: Trajectory) -> "DriftConflicts":
         """Add the encounters of a solution."""
         horizon, nominal = self.agent.horizon, self.agent.nominal
-        own = horizon.predict(self.agent.own, nominal.x, found.x, found.u)
+        own = horizon.predict(self.agent.own, nominal, found)
         more = horizon.find_encounters(own, self.others, self.is_above, KEPT_FACTOR)
         of_drifts, of_plan = self.of_drifts.join(more[0]), self.of_plan.join(more[1])
         return self._replace(of_drifts=of_drifts, of_plan=of_plan)
 
     def constrain(self, side: PassingSide) -> HalfSpaces:
         """Constrain the plan in all encounters, on a side of those that the nominal meets."""
-        own, nominal, met = self.agent.own, self.agent.nominal, (self.of_drifts, self.of_plan)
-        horizon = self.agent.horizon
-        return horizon.constrain(own, self.others, met, nominal.x, nominal.u, side)
+        agent, met = self.agent, (self.of_drifts, self.of_plan)
+        return agent.horizon.constrain(agent.own, self.others, met, agent.nominal, side)
