@@ -11,9 +11,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.obstacle_paths import ObstaclePaths, is_path_clear
-from sato.reconfiguration.orbital_commitment import arrive_among
+from sato.reconfiguration.free_motion import drift_freely, free_motion
+from sato.reconfiguration.orbital_commitment import drift_on
+from sato.reconfiguration.orbital_evasion import Flights
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
+from sato.reconfiguration.surroundings import Surroundings
 from sato.scp.planner import required_separations
 
 
@@ -38,13 +41,24 @@ def find_places(context: DecisionContext, steps: int, escape: int) -> Places:
     mission, around, targets = context.mission, context.surroundings, context.leg.targets
     assert around is not None
     if not mission.is_point_mass:
-        return Places(*arrive_among(context, steps))
+        return _find_places_in_orbit(context, around, steps)
     horizon = divide_horizon(mission, context.time, steps + max(escape, 1))
     flown, begin = around.fly(mission, horizon), steps * horizon.pieces_per_step
     later = flown and flown.after_pieces(begin)
     shape = len(targets), len(horizon.fine_model) - begin, 4, mission.axes
     here = np.broadcast_to(targets[:, None, None, : mission.axes], shape)
     return Places(horizon.scale_points(here), later, horizon.clearance)
+
+
+def _find_places_in_orbit(context: DecisionContext, around: Surroundings, steps: int) -> Places:
+    mission, leg = context.mission, context.leg
+    horizon = divide_horizon(mission, context.time, steps, leg)
+    free = free_motion(mission, leg, context.instant + steps)
+    flown = drift_on(context, around, Flights(horizon, context.time, *free))
+    later = flown and flown.after_pieces(len(horizon.fine_model))
+    count, begin = len(later.paths[0]) if later else 0, context.time + steps * mission.step
+    paths = drift_freely(mission, leg.targets, count, begin, free[1])
+    return Places(paths, later, horizon.clearance)
 
 
 def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[Array, " targets"]:

@@ -33,31 +33,19 @@ MAX_PLAN_STEPS = 16  # of what is foreseen, to which agents commit at once
 
 @dataclass(frozen=True, eq=False)
 class ByChoice:
-    """Array by agent and choice, of which many entries are the same, and each is kept once."""
+    """Paths or controls by agent and choice, each kept once, and only until it comes to rest."""
 
-    values: Float[Array, "entries ..."]
-    index: Int[Array, "agents choices"]  # of the entry of each choice
-
-    def __getitem__(self, place: tuple[Any, ...]) -> Float[Array, "..."]:
-        agent, choice, *rest = place
-        return np.asarray(self.values[(self.index[agent, choice], *rest)])
-
-
-@dataclass(frozen=True, eq=False)
-class PathsByChoice:
-    """Control points by agent and choice, each kept once, and only until it comes to rest."""
-
-    pieces: int  # over which they are returned
-    parts: tuple[Float[Array, "_ _ 4 d"], ...]  # of equal lengths
+    length: int  # in pieces or steps, over which they are returned
+    parts: tuple[Float[Array, "_ _ ..."], ...]  # of equal lengths
     part: Int[Array, " entries"]  # of each entry
     place: Int[Array, " entries"]  # in that part
     index: Int[Array, "agents choices"]  # of the entry of each choice
 
-    def __getitem__(self, place: tuple[Any, ...]) -> Float[Array, "*k _ 4 d"]:
+    def __getitem__(self, place: tuple[Any, ...]) -> Float[Array, "..."]:
         agent, choice, *rest = place
         asked = np.asarray(self.index[agent, choice])
         entry = asked.ravel()
-        found = np.empty((len(entry), self.pieces, *self.parts[0].shape[2:]))
+        found = np.empty((len(entry), self.length, *self.parts[0].shape[2:]))
         for number, part in enumerate(self.parts):
             (some,) = np.nonzero(self.part[entry] == number)
             own = part[self.place[entry[some]]]
@@ -77,7 +65,7 @@ class Offers(NamedTuple):
     steps: Int[Array, " agents"]  # in which all choices of each agent have come to rest, and one
     horizon: AvoidanceHorizon  # the most of these
     u: Float[Array, "agents choices T m"] | ByChoice
-    paths: Float[Array, "agents choices pieces 4 d"] | PathsByChoice
+    paths: Float[Array, "agents choices pieces 4 d"] | ByChoice
     is_allowed: Bool[Array, "agents choices"]
     clearance: Float[Array, " agents"]  # that two of each kind keep [m]
     drifts: OfferedDrifts | None = None  # where agents are to be passively safe
@@ -131,7 +119,8 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
         )
         if is_late:  # it is late, or has drifted: it takes a turn
             is_allowed[row, :-1] = False
-    chosen = ByChoice(u, index), paths, is_allowed, clearance
+    first, each = np.zeros_like(controls.row), np.arange(len(u))
+    chosen = ByChoice(horizon.steps, (u,), first, each, index), paths, is_allowed, clearance
     boxes = low[index].min(axis=1), high[index].max(axis=1)
     return Offers(agents, plan_steps, steps, horizon, *chosen, boxes=boxes)
 
@@ -142,7 +131,7 @@ def _fly(
     start: Float[Array, "entries n"],
     u: Float[Array, "entries T m"],
     index: Int[Array, "agents choices"],
-) -> tuple[PathsByChoice, Bool[Array, " entries"], Boxes]:
+) -> tuple[ByChoice, Bool[Array, " entries"], Boxes]:
     """Return paths, True for what stays within reach, and boxes about each.
 
     What soon comes to rest is flown until then alone.
@@ -164,7 +153,7 @@ def _fly(
             parts.append(part[:, : len(horizon.fine_model)])
         first, most = most, 2 * most
     pieces = len(horizon.fine_model)
-    return PathsByChoice(pieces, tuple(parts), part_of, place, index), is_near, (low, high)
+    return ByChoice(pieces, tuple(parts), part_of, place, index), is_near, (low, high)
 
 
 def _add_rest(
@@ -185,7 +174,7 @@ def _avoids_obstacles(
     horizon: AvoidanceHorizon,
     agents: Int[Array, " agents"],
     steps: Int[Array, " agents"],
-    paths: PathsByChoice,
+    paths: ByChoice,
     is_asked: Bool[Array, "agents choices"],
 ) -> Bool[Array, "agents choices"]:
     """Find the offers that are clear of all that an agent knows."""

@@ -145,30 +145,6 @@ def drift_on(
     return flown._replace(paths=np.concatenate([flown.paths, after], axis=1))
 
 
-def arrive_among(
-    context: DecisionContext, steps: int
-) -> tuple[Float[Array, "targets pieces 4 d"], ObstaclePaths | None, float]:
-    """Return the motion of all targets from arrival on, and of what does not decide.
-
-    Args:
-        context: Time, leg and surroundings.
-        steps: Steps until agents arrive.
-
-    Returns:
-        Control points of the targets; the motion of all others, without clearances; and the
-        clearance that any two vehicles keep [m].
-    """
-    mission, around = context.mission, context.surroundings
-    assert around is not None
-    horizon = divide_horizon(mission, context.time, steps, context.leg)
-    free = free_motion(mission, context.leg, context.instant + steps)
-    flown = drift_on(context, around, Flights(horizon, context.time, *free))
-    later = flown and flown.after_pieces(len(horizon.fine_model))
-    count, begin = len(later.paths[0]) if later else 0, context.time + steps * mission.step
-    paths = drift_freely(mission, context.leg.targets, count, begin, free[1])
-    return paths, later, horizon.clearance
-
-
 def fly_plans(
     context: DecisionContext, plans: Plans, steps: int
 ) -> tuple[Float[Array, "agents _ n"], Float[Array, "agents T m"]]:
