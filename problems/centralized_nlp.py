@@ -258,10 +258,7 @@ class SwarmProgram:
         s = 1 - t
         bernstein = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
         found = []
-        for maps, scale, instants_each in (
-            (P, self.state_units, T + 1),
-            (Q, self.control_unit, T),
-        ):
+        for maps, scale, instants_each in ((P, self.state_units, T + 1), (Q, self.control_unit, T)):
             block = np.einsum("ki,kidn->kdn", bernstein, maps[step, part]) * scale / R
             both = np.stack([block, -block], axis=1).reshape(-1, *block.shape[1:])
             column = (instants.pair * instants_each + step[:, None]).ravel()

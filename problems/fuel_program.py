@@ -59,10 +59,7 @@ class FuelProgram:
         self.pivot_count = 0
 
     def add_equations(
-        self,
-        coeffs: Float[Array, "k n"],
-        offset: Float[Array, " k"],
-        penalty: Float[Array, " k"],
+        self, coeffs: Float[Array, "k n"], offset: Float[Array, " k"], penalty: Float[Array, " k"]
     ) -> None:
         """Add rows coeffs · u + offset = 0, with the penalties of their errors."""
         self._add(coeffs, offset, [-FAR, 0.0, 0.0, FAR, FAR], penalty)

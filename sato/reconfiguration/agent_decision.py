@@ -39,14 +39,7 @@ from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration import (
-    assignment,
-    commitment,
-    evasion,
-    planning,
-    stopping,
-    target_costs,
-)
+from sato.reconfiguration import assignment, commitment, evasion, planning, stopping, target_costs
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
     Bidding,
@@ -316,8 +309,7 @@ class Decision(NamedTuple):
         clocks = np.full_like(self.context.memory.clock, clock)
         memory = replace(self.context.memory, clock=clocks)
         return self._replace(
-            context=self.context._replace(memory=memory),
-            planned_cost=np.full(len(clocks), np.inf),
+            context=self.context._replace(memory=memory), planned_cost=np.full(len(clocks), np.inf)
         )._note_reset()
 
     def _announce_terms(self, attempt: Literal["first", "reset", "firm"]) -> "Decision":

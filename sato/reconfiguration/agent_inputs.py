@@ -31,11 +31,7 @@ class AgentMessage(NamedTuple):
 
 
 def check_agent(
-    mission: Any,
-    number: Any,
-    target_count: Any = None,
-    leg: Any = None,
-    commitment: Any = None,
+    mission: Any, number: Any, target_count: Any = None, leg: Any = None, commitment: Any = None
 ) -> None:
     """Refuse a mission that an agent cannot fly, and what else it cannot have.
 
@@ -132,10 +128,7 @@ def check_inbox(number: int, inbox: Any) -> None:
 
 
 def select_messages(
-    number: int,
-    now: AgentMessage,
-    inbox: Sequence[AgentMessage],
-    heard: frozenset[int] | None,
+    number: int, now: AgentMessage, inbox: Sequence[AgentMessage], heard: frozenset[int] | None
 ) -> list[AgentMessage]:
     """Return the messages of an agent's own instant and stage, by the number of the sender.
 

@@ -10,13 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance
-from sato.auctions import (
-    VsdaaAuction,
-    VsdaaResult,
-    assign_centrally,
-    assign_given,
-    run_vsdaa,
-)
+from sato.auctions import VsdaaAuction, VsdaaResult, assign_centrally, assign_given, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait

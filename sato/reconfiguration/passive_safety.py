@@ -95,10 +95,7 @@ def begin_passively_safe(
 
 
 def _follow_nominals(
-    context: DecisionContext,
-    planners: dict[int, Planner],
-    previous: Plans,
-    horizon: DriftHorizon,
+    context: DecisionContext, planners: dict[int, Planner], previous: Plans, horizon: DriftHorizon
 ) -> dict[int, tuple[Trajectory, Drifts]]:
     """Return the nominal with which each agent begins, and its drifts."""
     u, alike = dict[int, Float[Array, "T m"]](), dict[tuple[int, bool], list[int]]()

@@ -74,9 +74,7 @@ def _check_leg(number: int, departure: Departure, targets: Float[Array, "k n"]) 
 
 
 def find_least_steps(
-    where: str,
-    departure: Departure,
-    targets_after: Callable[[int], Float[Array, "targets n"]],
+    where: str, departure: Departure, targets_after: Callable[[int], Float[Array, "targets n"]]
 ) -> int:
     """Find the least number of steps in which each vehicle can arrive, without the others.
 

@@ -84,13 +84,7 @@ class Random(Definition):
 
         for _ in range(MAX_DRAWS):
             try:
-                drawn = sample_separated(
-                    sample,
-                    count,
-                    self.separation,
-                    occupied,
-                    axes,
-                )
+                drawn = sample_separated(sample, count, self.separation, occupied, axes)
             except NoRoomError as full:
                 reason = f"a box of {box:.4g} m is full after {full.placed_count} of {count} agents"
                 cure = self._larger_box(box, count + len(occupied), axes)

@@ -20,12 +20,7 @@ from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.bending import bend_all, can_move, stack_paths
-from sato.scp.planner import (
-    VIOLATION_TOLERANCE,
-    Planner,
-    TrajectoryMessage,
-    solve_around,
-)
+from sato.scp.planner import VIOLATION_TOLERANCE, Planner, TrajectoryMessage, solve_around
 from sato.scp.spreading import spread_all
 
 MAX_BENDS = 40  # rounds in which paths push each other aside
