@@ -176,9 +176,7 @@ def _list_evasions(
 def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:
     """Return the place of each agent in the order of their priorities."""
     order = sorted(range(len(plans)), key=lambda a: plans[int(offers.agents[a])].priority)
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order))
-    return rank
+    return np.argsort(order)
 
 
 def leaves_plan(plan: Plan, followed: Plan | None = None) -> bool:

@@ -62,9 +62,8 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     if not mission.is_point_mass or is_still:
         return {}
     around = around and around.seen_from(mission, mission.initial_states)
-    steps = (
-        max((around.escape_steps(mission, i) for i in agents.tolist()), default=0) if around else 0
-    )
+    escapes = [around.escape_steps(mission, i) for i in agents.tolist()] if around else []
+    steps = max(escapes, default=0)
     horizon, u, _, paths = _fly_on(mission, agents, start, {}, 0, steps)
     clearance = mission.own_clearances(horizon.clearance, agents)
     flown = around and around.fly(mission, horizon)
@@ -73,11 +72,7 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     ]
 
     def find_met() -> set[int]:
-        return {
-            a
-            for a, (path, own) in enumerate(zip(paths, obstacles, strict=True))
-            if not is_path_clear(path, own)
-        }
+        return {a for a, own in enumerate(obstacles) if not is_path_clear(paths[a], own)}
 
     meeting, met = _find_meeting(paths, clearance), find_met()
     for _ in range(MAX_SWEEPS):

@@ -31,7 +31,6 @@ from sato.reconfiguration.free_motion import drift_freely, free_motion, simulate
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_evasion import (
     Detours,
-    DetoursByRow,
     Flights,
     list_detours,
     make_room,
@@ -48,7 +47,7 @@ from sato.scenario.errors import InputError
 
 def make_orbital_offers(
     context: DecisionContext, plans: Plans, committed: Commitments, heard_clock: int
-) -> tuple[Offers, DetoursByRow]:
+) -> tuple[Offers, dict[int, Detours]]:
     """Offer the plans of agents of one component, and what they have committed to.
 
     Args:
@@ -95,7 +94,7 @@ def make_orbital_offers(
 
 def _avoid_obstacles(
     context: DecisionContext, flights: Flights, offers: Offers
-) -> tuple[Offers, DetoursByRow]:
+) -> tuple[Offers, dict[int, Detours]]:
     """Allow the plans that are clear of all that an agent knows for longer than what it flies.
 
     Where neither is clear, list detours. What drifts from these is not compared with others, so

@@ -57,9 +57,6 @@ class Detours(NamedTuple):
     paths: Float[Array, "detours pieces 4 d"]
 
 
-DetoursByRow = dict[int, Detours]
-
-
 def list_detours(
     mission: Reconfiguration,
     agent: int,

@@ -175,24 +175,19 @@ def plan_alone(
         paths = {T: own.control_points(x, u) for T, own in horizons.items()}
         each = zip(agents, transfers, solos, rests, strict=True)
         for row, (i, transfer, solo, rest) in enumerate(each):
-            own = horizons[int(ahead[i])]
-            clearance = own.clearance
-            if not mission.has_equal_radii:
-                (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
-                own = own.with_clearance(wide)
-            obstacles = None
-            if around is not None:
-                steps = int(ahead[i])
-                obstacles = around.known_to(mission, i, flown[steps], clearance)
+            steps = int(ahead[i])
+            clearance = horizons[steps].clearance
+            (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
+            obstacles = around and around.known_to(mission, i, flown[steps], clearance)
             planner = Planner(
                 priority=(_priority_class(context, i, previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
                 solver=context.solver_of(i),
-                horizon=own,
+                horizon=horizons[steps].with_clearance(wide),
                 solo=solo,
                 nominal=solo,
-                control_points=paths[int(ahead[i])][row],
+                control_points=paths[steps][row],
                 relinearize=partial(relinearize, context, transfer) if is_nonlinear else None,
                 has_plan=mission.keeps_plans and rest is not None,
                 is_delayed=rest is None and _count_failures(previous, i) > 0,

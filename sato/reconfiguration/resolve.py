@@ -34,7 +34,8 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
         noise = tolerances.noise_on_arrival(mission)
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin
-    tightest = min(map(mission.find_tightest, (leg.targets for leg in mission.legs)), key=_room)
+    pairs = [mission.find_tightest(leg.targets) for leg in mission.legs]
+    tightest = min(pairs, key=lambda pair: pair[0] - pair[1])  # by their room
     check_margin(margin, "auto gives" if is_computed else "takes", *tightest)
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):
@@ -47,11 +48,6 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
         epsilon=increment,
         margin=margin,
     )
-
-
-def _room(pair: tuple[float, float]) -> float:
-    distance, R = pair
-    return distance - R
 
 
 def check_margin(margin: float, verb: str, spacing: float, R: float) -> None:

@@ -42,7 +42,7 @@ def solve_solo_trajectories(
     mission, state = context.mission, context.state[agents]
     targets = context.leg.targets[context.memory.target_index[agents]]
     solvers = [context.solver_of(i) for i in agents]
-    shared = context.make_transfer(model, agents[0], TIE_BREAK_RISE)
+    shared = context.make_transfer(model, agents[0], tie_break_rise=TIE_BREAK_RISE)
     found: list[Trajectory | None] = [None] * len(agents)
     if mission.keeps_plans:
         found = _keep_plans(shared, state, previous)

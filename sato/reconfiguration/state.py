@@ -129,18 +129,11 @@ class DecisionContext(NamedTuple):
         """Discretize the steps that remain on a clock."""
         return self.mission.discretize(self.leg.steps - clock, self.time)
 
-    def make_transfer(
-        self, model: DiscreteModel, agent: int, tie_break_rise: float = 0.0
-    ) -> TransferProblem:
+    def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> TransferProblem:
         """Make the transfer problem of an agent's plans over some steps."""
-        mission = self.mission
-        return mission.make_transfer(
-            model,
-            agent,
-            max_speed=mission.planned_speed_limit(agent).bound,
-            objective=mission.objective,
-            tie_break_rise=tie_break_rise,
-        )
+        mission, most = self.mission, self.mission.planned_speed_limit(agent).bound
+        options = {"max_speed": most, "objective": mission.objective, **more}
+        return mission.make_transfer(model, agent, **options)
 
 
 class ReconfigurationFrame(NamedTuple):

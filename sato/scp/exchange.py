@@ -40,8 +40,7 @@ def run_batched(
     if not now:
         return
     own = np.array([agent.horizon.clearance for agent in now])
-    rank = np.empty(len(now), dtype=int)
-    rank[sorted(range(len(now)), key=lambda k: now[k].priority)] = np.arange(len(now))
+    rank = np.argsort(sorted(range(len(now)), key=lambda k: now[k].priority))
     i, j = graph.pairs_among(ids)
     lower, upper = np.where(rank[i] > rank[j], (i, j), (j, i))
     radius = (own[lower] + own[upper]) / 2
