@@ -125,19 +125,16 @@ class AvoidanceHorizon:
         return np.ascontiguousarray(np.concatenate([P, Q], axis=2).swapaxes(1, 2)), r
 
 
-def are_hulls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
+def are_hulls_separated(
+    relative: ControlPoints, radius: Separation, is_exact: bool = True
+) -> Bool[Array, "*pairs"]:
     """Return True where the hull of the control points lies outside the circle.
 
     Args:
         relative: Control points; where there are several radii, others come first.
         radius: Radius of all, or of each other.
+        is_exact: False for a ball about the control points in place of their hull.
     """
-    return _are_outside(relative, radius, is_exact=True)
-
-
-def _are_outside(
-    relative: ControlPoints, radius: Separation, is_exact: bool
-) -> Bool[Array, "*pairs"]:
     shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
     per_piece = _per_piece(radius, shape).reshape(-1)
     return are_outside(relative.reshape(-1, corners, d), per_piece, is_exact).reshape(shape)
@@ -166,7 +163,7 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
 
     Sufficient for `are_hulls_separated`, and much faster.
     """
-    return _are_outside(relative, radius, is_exact=False)
+    return are_hulls_separated(relative, radius, is_exact=False)
 
 
 def are_pairs_separated(

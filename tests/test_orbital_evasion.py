@@ -74,7 +74,8 @@ def test_detours_keep_limits_and_pass_all_that_is_known(model, monkeypatch):
     found = record_detours(monkeypatch)
     sato.run(wreck_in_the_way(np.random.default_rng(4), model=model), seed=0)
     assert sum(len(detours.u) > 5 for *_, detours in found) > 2
-    for mission, _, flights, state, u, path, known, detours in found:
+    for flights, _, state, u, path, known, detours in found:
+        mission = flights.mission
         plant, h, S = mission.flown_plant, mission.step, flights.horizon.pieces_per_step
         least = partial(least_distance, bodies=known.paths)
         assert least(path) < R
@@ -93,16 +94,17 @@ def test_detours_keep_limits_and_pass_all_that_is_known(model, monkeypatch):
 def test_ways_aside_return_or_drift_no_more_or_move_on(when):
     changes = {"step": 60.0, "allow_undetectable": True}
     mission = wreck_in_the_way(np.random.default_rng(0), **changes)
-    flights = Flights(divide_horizon(mission, 0.0, 10), 0.0, 100, mission.orbital_period / 50)
+    horizon, h = divide_horizon(mission, 0.0, 10), mission.orbital_period / 50
+    flights = Flights(mission, horizon, 0.0, 100, h)
     model, first = flights.horizon.discrete_model, 10 * flights.horizon.pieces_per_step
     begin, end = when * first // 10, (when + 1) * first // 10 - 1
     piece, last = (begin, end) if when < 10 else 2 * [first + when - 10]
     aside = np.random.default_rng(1).normal(size=(5, 3))
-    each = list(_move_aside(mission, flights, piece, aside))
+    each = list(_move_aside(flights, piece, aside))
     assert [len(ways) for ways in each] == [5 if when != 9 and when < 10 else 0, 5, 5]
     for kind, u in enumerate(each):
         x = model.simulate(np.zeros((len(u), 6)), u)
-        path = flights.follow(mission, x, u, x[:, -1])
+        path = flights.follow(x, u, x[:, -1])
         np.testing.assert_allclose(path[:, last, -1], aside[: len(u)], rtol=0, atol=1e-6)
         away = np.linalg.norm(path[:, -1, -1] - path[:, first, 0], axis=1)  # in two orbits
         assert kind == 2 or (away < 1e-3).all()

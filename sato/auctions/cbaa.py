@@ -85,7 +85,11 @@ class CbaaAuction:
             i, j = wrong[0]
             text = f"the score of point {j} for agent {i} is {self.score[i, j]}"
             raise ValueError(f"{text}: must be positive and finite; with 1 / d², add to d²")
-        _validate_connected(self.graph)
+        apart = self.graph.component > 0
+        if apart.any():
+            text = f"no message gets from agent {np.argmax(alive)} to agent {np.argmax(apart)}"
+            cure = "two components would assign the same points; connect the graph"
+            raise ValueError(f"{text}: {cure}")
         loss, rounds = self.loss, self.rounds
         if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
             text = "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
@@ -129,17 +133,6 @@ def run_cbaa(auction: CbaaAuction) -> CbaaResult:
     return CbaaResult(
         state.point, state.finished_round, state.price, state.winner, int(state.round[0])
     )
-
-
-def _validate_connected(graph: CommunicationGraph) -> None:
-    # Cheaper than `graph.component`, which takes as long as the auction itself.
-    first = np.argmax(graph.alive)
-    reached = np.arange(len(graph.alive)) == first
-    while np.any(news := graph.adjacency[reached].any(axis=0) & ~reached):
-        reached |= news
-    if np.any(apart := graph.alive & ~reached):
-        text = f"no message gets from agent {first} to agent {np.argmax(apart)}"
-        raise ValueError(f"{text}: two components would assign the same points; connect the graph")
 
 
 class CbaaState(NamedTuple):

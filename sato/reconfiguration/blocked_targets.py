@@ -54,7 +54,7 @@ def _find_places_in_orbit(context: DecisionContext, around: Surroundings, steps:
     mission, leg = context.mission, context.leg
     horizon = divide_horizon(mission, context.time, steps, leg)
     free = free_motion(mission, leg, context.instant + steps)
-    flown = drift_on(context, around, Flights(horizon, context.time, *free))
+    flown = drift_on(context, around, Flights(mission, horizon, context.time, *free))
     later = flown and flown.after_pieces(len(horizon.fine_model))
     count, begin = len(later.paths[0]) if later else 0, context.time + steps * mission.step
     paths = drift_freely(mission, leg.targets, count, begin, free[1])

@@ -75,14 +75,15 @@ def make_orbital_offers(
             end[a, 0] = context.leg.targets[plan.target_index]
     begun = context.step_index if mission.assignment == "given" else clock
     arrival = context.instant + context.leg.steps - begun
-    flights = Flights(horizon, context.time, *free_motion(mission, context.leg, arrival))
+    free = free_motion(mission, context.leg, arrival)
+    flights = Flights(mission, horizon, context.time, *free)
     offers = Offers(
         agents=agents,
         plan_steps=(steps, 0),
         steps=np.full(len(agents), steps),
         horizon=horizon,
         u=u,
-        paths=flights.follow(mission, x, u, end),
+        paths=flights.follow(x, u, end),
         is_allowed=np.ones((len(agents), 2), dtype=bool),
         clearance=mission.own_clearances(horizon.clearance, agents),
         drifts=offer_drifts(context, steps, x, u),
@@ -114,7 +115,7 @@ def _avoid_obstacles(
         allowed[row, 0], best = first[0] >= first[1], int(first[1] > first[0])
         if can_evade and first[best] < ahead:
             flown = offers.u[row, best], offers.paths[row, best]
-            detours[row] = list_detours(mission, i, flights, context.state[i], *flown, known)
+            detours[row] = list_detours(flights, i, context.state[i], *flown, known)
     offers = offers._replace(is_allowed=allowed)
     return (make_room(offers) if can_evade else offers), detours
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
+from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
@@ -32,21 +33,18 @@ MAX_DETOURS = 40  # for each agent
 class Flights(NamedTuple):
     """Trajectories over a horizon, and the free motion after them."""
 
+    mission: Reconfiguration  # model and limits
     horizon: AvoidanceHorizon
     time: float  # at which they begin [s]
     pieces: int  # of the free motion
     duration: float  # of each of these [s]
 
     def follow(
-        self,
-        mission: Reconfiguration,
-        x: Float[Array, "*k instants n"],
-        u: Float[Array, "*k T m"],
-        end: Float[Array, "*k n"],
+        self, x: StateSamples, u: ControlSamples, end: Float[Array, "*k n"]
     ) -> Float[Array, "*k pieces 4 d"]:
         """Return control points of trajectories, and of free motion from their ends."""
-        later = self.time + self.horizon.steps * mission.step
-        after = drift_freely(mission, end, self.pieces, later, self.duration)
+        later = self.time + self.horizon.steps * self.mission.step
+        after = drift_freely(self.mission, end, self.pieces, later, self.duration)
         return np.concatenate([self.horizon.control_points(x, u), after], axis=-3)
 
 
@@ -58,9 +56,8 @@ class Detours(NamedTuple):
 
 
 def list_detours(
-    mission: Reconfiguration,
-    agent: int,
     flights: Flights,
+    agent: int,
     state: Float[Array, " n"],
     u: Float[Array, "T m"],
     path: Float[Array, "pieces 4 d"],
@@ -69,28 +66,27 @@ def list_detours(
     """List trajectories that pass all bodies that an agent knows, within its limits.
 
     Args:
-        mission: Limits and model.
-        agent: Number of the agent.
         flights: Horizon, and free motion after it.
+        agent: Number of the agent.
         state: State of the agent.
         u: Controls that it would change.
         path: Control points of its trajectory by these, to the end of the free motion.
         known: Bodies, over as many pieces as the agent looks ahead.
     """
-    ahead, d = known.paths.shape[1], mission.axes
+    mission, ahead, d = flights.mission, known.paths.shape[1], flights.mission.axes
     gap = measure_gaps(path[:ahead] - known.paths, known)[0]
     if (gap[:, 0] < known.clearance).any():  # too near already: it leaves by what it flies
         return Detours(np.zeros((0, *u.shape)), np.zeros((0, *path.shape)))
     body, piece = np.unravel_index((gap - known.clearance[:, None]).argmin(), gap.shape)
     each = spread_directions(d, DIRECTIONS[d])
     aside = float(known.clearance[body]) * np.concatenate([share * each for share in SHARES])
-    changed = u + np.concatenate(list(_move_aside(mission, flights, int(piece), aside)))
+    changed = u + np.concatenate(list(_move_aside(flights, int(piece), aside)))
     changed = changed[~mission.planned_control_limit(agent).is_exceeded(changed).any(axis=1)]
     begin = np.broadcast_to(state, (len(changed), *state.shape))
     x = simulate(mission, begin, changed, flights.time, mission.step)
     slow = ~mission.speed_limit(agent).is_exceeded(x[:, 1:, d:]).any(axis=1)
     x, changed = x[slow], changed[slow]
-    paths = flights.follow(mission, x, changed, x[:, -1])
+    paths = flights.follow(x, changed, x[:, -1])
     for one in range(len(known.paths)):
         clear = are_points_clear(paths[:, :ahead, 0], known, one).all(axis=1)
         changed, paths = changed[clear], paths[clear]
@@ -100,13 +96,13 @@ def list_detours(
 
 
 def _move_aside(
-    mission: Reconfiguration, flights: Flights, piece: int, aside: Float[Array, "ways d"]
+    flights: Flights, piece: int, aside: Float[Array, "ways d"]
 ) -> Iterator[Float[Array, "_ T m"]]:
     """List controls of least energy that displace an agent at a piece, if any do.
 
     With those that return to where it was going, to the same drift, and that move on, in turn.
     """
-    horizon, d = flights.horizon, mission.axes
+    horizon, mission, d = flights.horizon, flights.mission, flights.mission.axes
     T, S, n = horizon.steps, horizon.pieces_per_step, 2 * mission.axes
     on_state = horizon.discrete_model.respond()
     end, later = on_state[T], flights.time + T * mission.step

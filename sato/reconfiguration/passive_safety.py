@@ -37,14 +37,12 @@ class OfferedDrifts(NamedTuple):
     ) -> Bool[Array, " pairs"]:
         """Find the pairs whose choices keep clear of each other's drifts."""
         own = self.drifts.take((np.arange(len(choice)), choice))
-        pairs = zip(i.tolist(), j.tolist(), strict=True)
-        return np.array([self._is_safe(own, a, b) for a, b in pairs], dtype=bool)
 
-    def _is_safe(self, own: Drifts, a: int, b: int) -> bool:
-        near = (
-            self.horizon.find_near_paths(own.take(n), own.path[[m]]) for n, m in ((a, b), (b, a))
-        )
-        return not any(len(each.row) for each in near)
+        def is_safe(a: int, b: int) -> bool:
+            return not len(self.horizon.find_near_paths(own.take(a), own.path[[b]]).row)
+
+        pairs = zip(i.tolist(), j.tolist(), strict=True)
+        return np.array([is_safe(a, b) and is_safe(b, a) for a, b in pairs], dtype=bool)
 
 
 def offer_drifts(

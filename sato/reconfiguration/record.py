@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray as Array
 
-from dynamics.plant import Plant
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 
@@ -39,6 +38,7 @@ class ReconfigurationVariables(NamedTuple):
 
 def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
     """Collect radii, limits and constants for the attributes of the run file."""
+    orbit = mission.flown_plant.chief_orbit
     axes = {
         "max_control_axes_m_s2": mission.max_control_axes,
         "max_speed_axes_m_s": mission.max_speed_axes,
@@ -50,7 +50,7 @@ def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
         "max_speed_m_s": mission.max_speed,
         **{name: each for name, each in axes.items() if each is not None},
         **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
-        **_gravity_constants(mission.flown_plant),
+        **({} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}),
     }
     # An array of one entry is read back as a number.
     return {k: v[0] if isinstance(v, tuple) and len(v) == 1 else v for k, v in found.items()}
@@ -83,8 +83,3 @@ def stack_targets(mission: Reconfiguration) -> tuple[Targets, Targets]:
     for states, leg in zip(targets, mission.legs, strict=True):
         states[: len(leg.targets)] = leg.targets
     return targets[..., : mission.axes], targets[..., mission.axes :]
-
-
-def _gravity_constants(plant: Plant) -> dict[str, float]:
-    orbit = plant.chief_orbit
-    return {} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}

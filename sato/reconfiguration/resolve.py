@@ -35,7 +35,7 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin
     pairs = [mission.find_tightest(leg.targets) for leg in mission.legs]
-    tightest = min(pairs, key=lambda pair: pair[0] - pair[1])  # by their room
+    tightest = min(pairs, key=lambda pair: pair[0] - pair[1])  # the one with the least room
     check_margin(margin, "auto gives" if is_computed else "takes", *tightest)
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):

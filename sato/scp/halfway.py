@@ -3,10 +3,10 @@
 By priority the first flies straight and the last goes around all, if it can. Where many pass
 through one place, all give way instead. In rounds of messages, paths to dense groups of targets
 spread out, and paths that come too close push each other aside, those that meet head-on to their
-right. Then each agent looks for the trajectory of
-least cost on its side of the planes halfway between its path and those of all others. All do so
-at once: two that keep to their sides keep the distance. An agent that finds none takes the one that
-enters the others' sides by least, and in the next round these make room for it.
+right. Then each agent looks for the trajectory of least cost on its side of the planes halfway
+between its path and those of all others. All do so at once: two that keep to their sides keep the
+distance. An agent that finds none takes the one that enters the others' sides by least, and in the
+next round these make room for it.
 
 An agent gives way alone to those of a higher class of priority, and to none of a lower one.
 """
