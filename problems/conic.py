@@ -58,8 +58,7 @@ class ConicProgram:
                 f"zero = {self.zero}, nonnegative = {self.nonnegative}, "
                 f"soc_sizes = {self.soc_sizes} and psd_orders = {self.psd_orders}"
             )
-        last = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1]
-        rows = last.stop
+        rows = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1].stop
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "

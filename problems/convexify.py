@@ -189,14 +189,7 @@ def are_paths_separated(
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> Bool[Array, " pairs"]:
-    """Return True where all pieces of a pair are separated.
-
-    Args:
-        paths: Control points [m].
-        i: First path of each pair.
-        j: Second one.
-        radius: Distance that each pair keeps [m].
-    """
+    """Return True where all pieces of the pairs i, j of paths keep their distances [m]."""
     if not len(i):
         return np.ones(0, dtype=bool)
     middle, extent = enclosing_balls(paths)

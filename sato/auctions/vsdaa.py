@@ -223,11 +223,9 @@ def run_kernel(
     log = BidLog.empty(MIN_ROOM + 2 * targets)
     while True:
         before, last_round = int(state.round[0]), int(state.round[0]) + stride
-        outcome = LOG_FULL
-        while outcome == LOG_FULL:
-            outcome = _advance(last_round, float(epsilon), bidder_ids, state, log)
-            if outcome == LOG_FULL:
-                log = _make_room(state, log)
+        rules = last_round, float(epsilon), bidder_ids
+        while (outcome := _advance(*rules, state, log)) == LOG_FULL:
+            log = _make_room(state, log)
         if outcome < 0:
             raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
         if state.round[0] > before:

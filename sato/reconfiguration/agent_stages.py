@@ -83,11 +83,10 @@ class Bidding(NamedTuple):
         return self._replace(bidder=bidder, flood=flood)
 
     def _report(self, bidder: VsdaaBidder) -> AuctionReport:
-        mission, memory = self.context.mission, self.context.memory
         won = self._replace(bidder=bidder).target_index
         i, is_lost = bidder.agent_id, ~self.table.is_reachable[:, won]
         counted = np.full(len(is_lost), bidder.bids.winner_count)
-        resets = assignment.needs_reset(mission, memory, counted, is_lost)
+        resets = assignment.needs_reset(self.context, counted, is_lost)
         is_exact = bool(self.table.is_exact[i, won])
         return AuctionReport(i, bidder.round, won, is_exact, bool(is_lost[i]), bool(resets[i]))
 

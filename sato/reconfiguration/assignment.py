@@ -73,22 +73,21 @@ def assign_targets(
     blocked = agree_on_blocked(context)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
-    auction = run_auction(context._replace(memory=memory), cost, None, blocked)
+    context = context._replace(memory=memory)
+    auction = run_auction(context, cost, None, blocked)
     solves = auction.solve_count
-    counted = auction.outcome.bidder_count
-    is_due = graph.alive & needs_reset(context.mission, memory, counted, auction.won_unreachable)
-    is_due = graph.component_any(is_due) & graph.alive
+    is_called = needs_reset(context, auction.outcome.bidder_count, auction.won_unreachable)
+    is_due = graph.component_any(graph.alive & is_called) & graph.alive
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
-        memory = replace(memory, clock=set_back(context._replace(memory=memory), is_due))
-        auction = run_auction(context._replace(memory=memory), cost, None, blocked)
+        context = context._replace(memory=replace(memory, clock=set_back(context, is_due)))
+        auction = run_auction(context, cost, None, blocked)
         solves += auction.solve_count
     if auction.won_unreachable.any():
         is_firm = graph.component_any(auction.won_unreachable)
-        auction = run_auction(context._replace(memory=memory), cost, is_firm, blocked)
+        auction = run_auction(context, cost, is_firm, blocked)
         solves += auction.solve_count
-    memory = _remember(context._replace(memory=memory), auction.outcome)
-    return AssignmentDecision(memory, was_reset, solves, blocked)
+    return AssignmentDecision(_remember(context, auction.outcome), was_reset, solves, blocked)
 
 
 def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
@@ -100,21 +99,19 @@ def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> Comm
 
 
 def needs_reset(
-    mission: Reconfiguration,
-    memory: AgentMemory,
+    context: DecisionContext,
     counted: Int[Array, " agents"],
     won_unreachable: Bool[Array, " agents"],
 ) -> Bool[Array, " agents"]:
     """Find the agents that call for a reset of their component's clock after an auction.
 
     Args:
-        mission: Rule of the resets.
-        memory: Memory before the auction.
+        context: Rule of the resets, and memory before the auction.
         counted: Bidders in the auction.
         won_unreachable: True where an agent won a target out of its reach.
     """
-    is_called = won_unreachable
-    if mission.reset == "change":
+    is_called, memory = won_unreachable, context.memory
+    if context.mission.reset == "change":
         is_called = is_called | ((memory.bidder_count > 0) & (counted != memory.bidder_count))
     return np.asarray((memory.clock > 0) & is_called)
 

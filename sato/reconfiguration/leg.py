@@ -69,10 +69,9 @@ class Join(Definition):
 
     def check(self) -> None:
         """Refuse a missing start, and an unknown number of agents."""
-        if self.start is None:
-            raise InputError("start", "is missing, and has no default")
-        if self.agents is None:
-            raise InputError("agents", "is missing, and has no default")
+        for key in ("start", "agents"):
+            if getattr(self, key) is None:
+                raise InputError(key, "is missing, and has no default")
 
     @property
     def size(self) -> int:

@@ -121,7 +121,7 @@ class _Flight:
             return []
         self.surroundings = before.seen_from(self.mission, self.x)
         is_new = self.alive & (self.surroundings.is_known & ~before.is_known).any(axis=1)
-        return state.to_indices(is_new)
+        return np.flatnonzero(is_new).tolist()
 
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
@@ -143,7 +143,7 @@ class _Flight:
         return Traffic(self.mission, *own)
 
     def _note(self, kind: str, agents: Array, **more: object) -> None:
-        self.events.append({"kind": kind, "agents": state.to_indices(agents), **more})
+        self.events.append({"kind": kind, "agents": np.flatnonzero(agents).tolist(), **more})
 
     def make_graph(self) -> CommunicationGraph:
         """Connect all live agents within hearing."""
@@ -246,9 +246,9 @@ class _Flight:
         new = np.asarray(blocked.any(axis=0))
         new[list(self.left_out)] = False
         if new.any():
-            self.left_out.update(state.to_indices(new))
+            self.left_out.update(np.flatnonzero(new).tolist())
             agents = np.asarray(blocked[:, new].any(axis=1))
-            self._note("blocked", agents, targets=state.to_indices(new))
+            self._note("blocked", agents, targets=np.flatnonzero(new).tolist())
 
     def _hear_clocks(self, context: state.DecisionContext) -> Array:
         """Return the clock with the most time left of those that plan again, as agents hear it."""

@@ -113,11 +113,9 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     is_allowed[:, -1] = True
     clearance = mission.own_clearances(horizon.clearance, agents)
     for row, (i, plan) in enumerate(plans.items()):
-        is_over = len(plan.trajectory.u) == 0
-        is_late = is_over and not reaches_target(
-            plan.trajectory, rest_at_target(context, i), clearance[row]
-        )
-        if is_late:  # it is late, or has drifted: it takes a turn
+        own, target = plan.trajectory, rest_at_target(context, i)
+        if len(own.u) == 0 and not reaches_target(own, target, clearance[row]):
+            # It is late, or has drifted: it takes a turn.
             is_allowed[row, :-1] = False
     first, each = np.zeros_like(controls.row), np.arange(len(u))
     chosen = ByChoice(horizon.steps, (u,), first, each, index), paths, is_allowed, clearance

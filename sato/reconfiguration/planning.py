@@ -90,9 +90,8 @@ def make_plans(
             continue
         # Agents out of hearing are too far to meet within T_H alone (Proposition 9).
         clear = planner.horizon.steps if hears_all else mission.horizon_steps
-        failures = previous[i].failure_count if i in previous else 0
+        failures = _count_failures(previous, i) + (i in relaxed)
         held = None if i in astray else int(target[i])
-        failures += i in relaxed
         is_clear = has_one_order and planner.is_clear
         own = planner.nominal, held, k, k + clear, failures, planner.priority
         plans[i] = Plan(*own, is_clear)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
@@ -152,8 +152,3 @@ class ReconfigurationFrame(NamedTuple):
     measured_position: Annotated[Vectors | None, "m", "position as the agent measures it"]
     measured_velocity: Annotated[Vectors | None, "m/s", "velocity as the agent measures it"]
     events: Events
-
-
-def to_indices(mask: Bool[Array, " agents"]) -> list[int]:
-    """Return the indices at which a mask is true."""
-    return [int(i) for i in np.flatnonzero(mask)]

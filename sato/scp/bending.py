@@ -94,10 +94,8 @@ def obstacle_messages(agent: Planner) -> list[PathMessage]:
     """Return what obstacles would say, if each were its point that is nearest to the agent."""
     if agent.obstacles is None:
         return []
-    obstacles, own = (
-        select_near(agent.control_points, agent.obstacles, ROOM),
-        agent.horizon.clearance,
-    )
+    obstacles = select_near(agent.control_points, agent.obstacles, ROOM)
+    own = agent.horizon.clearance
     nearest, target = nearest_points(agent.control_points, obstacles), agent.target_state
     each = zip(nearest, (2 * obstacles.clearance - own).tolist(), strict=True)
     return [PathMessage(-inf, path, R, target, False) for path, R in each]
@@ -143,9 +141,8 @@ def push_apart(
     right[..., 1] = -along[..., 0]
     way = np.where(((miss < TOUCH * R) & ~is_slow)[..., None], right, way)
     size = np.where(apart < R, np.maximum(lacking, 0.0), 0.0)
-    return np.asarray(
-        size[..., None] * way / np.maximum(np.linalg.norm(way, axis=2), TINY)[..., None]
-    )
+    length = np.maximum(np.linalg.norm(way, axis=2), TINY)
+    return np.asarray(size[..., None] * way / length[..., None])
 
 
 def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[Array, "k d"]:
