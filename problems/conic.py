@@ -14,8 +14,6 @@ from scipy.sparse import csc_array, tril, triu
 
 TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
 RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
-
-
 CONVEXITY_TOLERANCE = 1e-9  # of the largest entry of P: rounding of an eigenvalue
 
 ConeType = Literal["linear", "second-order", "semidefinite"]

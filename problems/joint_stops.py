@@ -233,13 +233,8 @@ class JointStopProblem:
             place(np.kron(on_v[T : T + 1], eye), -x[a, T, d:], 0)
             speed = vehicle.speed_limit
             fast = 1 + np.flatnonzero(speed.measure(x[a, 1:T, d:]) > FAST * speed.most)
-            bounds = (
-                (vehicle.control_limit, E[:T], u[a, :T]),
-                (speed, on_v[fast], x[a, fast, d:]),
-            )
-            for limit, response, drift in bounds:
-                if not len(response):
-                    continue
+            bounds = ((vehicle.control_limit, E[:T], u[a, :T]), (speed, on_v[fast], x[a, fast, d:]))
+            for limit, response, drift in (bound for bound in bounds if len(bound[1])):
                 each = np.kron(response, eye).reshape(len(response), d, d * E.shape[1])
                 rows, rhs = limit.constrain(each, drift)
                 place(-rows, rhs, 1 if limit.faces is not None else 2)

@@ -51,10 +51,6 @@ class ObstaclePaths(NamedTuple):
         more = ObstaclePaths(paths, corners, clearance, velocity)
         return ObstaclePaths(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
-    def until_piece(self, count: int) -> "ObstaclePaths":
-        """Return the same for the first pieces."""
-        return self._replace(paths=self.paths[:, :count])
-
     def held_after(self, count: int) -> "ObstaclePaths":
         """Return the same, as if obstacles stood still after the first pieces."""
         paths = self.paths.copy()

@@ -34,13 +34,7 @@ def set_back(context: DecisionContext, is_late: Bool[Array, " agents"]) -> Int[A
 def announce_clock(
     is_due: Bool[Array, " agents"], clock: Int[Array, " agents"], steps: int
 ) -> Int[Array, " agents"]:
-    """Return the clocks for which others wait: of those on their way that plan again.
-
-    Args:
-        is_due: True for agents that plan again.
-        clock: Clocks of the agents.
-        steps: Steps of the leg.
-    """
+    """Return the clocks for which others wait: of those on their way that are due to plan again."""
     return np.where(is_due & (clock > 0), clock, steps)
 
 

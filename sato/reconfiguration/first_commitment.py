@@ -234,11 +234,8 @@ def check_reach(mission: Reconfiguration) -> None:
             "included, so none could move without meeting others unheard; several times as much "
             "would do",
         )
-    for agents, where in (
-        (np.flatnonzero(mission.alive), "swarm.start"),
-        (np.flatnonzero(~mission.alive), "leg.join.start"),
-    ):
-        check_stops(mission, agents, state[agents], where)
+    for some, where in ((mission.alive, "swarm.start"), (~mission.alive, "leg.join.start")):
+        check_stops(mission, np.flatnonzero(some), state[some], where)
 
 
 def check_stops(

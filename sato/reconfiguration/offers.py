@@ -184,7 +184,7 @@ def _avoids_obstacles(
     for row, i in enumerate(agents.tolist()):
         known = around.known_to(context.mission, i, flown, horizon.clearance)
         ahead = int(steps[row]) * horizon.pieces_per_step
-        known = known and known.until_piece(ahead)
+        known = known and known._replace(paths=known.paths[:, :ahead])
         for choice in np.flatnonzero(is_asked[row]).tolist():
             is_clear[row, choice] = is_path_clear(paths[row, choice, :ahead], known)
     return is_clear

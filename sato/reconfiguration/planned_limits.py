@@ -82,11 +82,7 @@ class PlannedLimits(Vehicles):
     def group_by_limit(
         self, agents: Int[Array, " agents"]
     ) -> list[tuple[Limit, Int[Array, " rows"]]]:
-        """Return each limit of the acceleration in plans, and the rows of the agents that have it.
-
-        Args:
-            agents: Numbers of the agents.
-        """
+        """Return each limit of the acceleration in plans, and the rows of agents that have it."""
         groups = self.group_by_limits(agents)
         return [(self.planned_control_limit(int(agents[some[0]])), some) for some in groups]
 

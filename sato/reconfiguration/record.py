@@ -13,7 +13,6 @@ from sato.reconfiguration.state import ReconfigurationFrame
 # Of the chief's orbit, as `dynamics.orbit.Orbit` has them.
 CHIEF_ELEMENTS = ("r", "v_x", "h", "node", "inclination", "latitude")
 
-
 Targets = Float[Array, "leg target axis"]
 
 
