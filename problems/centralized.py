@@ -35,7 +35,8 @@ from problems.centralized_solution import (
     NoFeasibleSolution,
     SimulatedSolution,
 )
-from problems.convexify import AvoidanceHorizon, are_balls_separated
+from problems.convexify import AvoidanceHorizon
+from problems.path_separation import are_balls_separated
 from problems.transfer import Objective, TransferProblem, compute_energy, compute_fuel
 
 PROXIMITY_FACTOR = 2.0  # times R: pairs that come closer in the guess get constraints at once,

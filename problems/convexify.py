@@ -11,22 +11,17 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
-from dynamics.convex_hulls import are_outside
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.half_spaces import HalfSpaces, separate_points
+from problems.path_separation import Separation
 
-ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
-Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 PassingSide = Literal["same", "opposite", "above", "below"]
 
-MAX_COORDINATES = 100_000  # of paths that are compared at once, which stay in the cache of a core
-BOX_PIECES = 8  # of a path, about which one box is compared with those of others
-ROUNDING = 1e-9  # relative, of distances
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
@@ -123,146 +118,6 @@ class AvoidanceHorizon:
         maps = self.control_point_maps
         P, Q, r = (part.reshape(self.steps, -1, *part.shape[4:]) for part in maps)
         return np.ascontiguousarray(np.concatenate([P, Q], axis=2).swapaxes(1, 2)), r
-
-
-def are_hulls_separated(
-    relative: ControlPoints, radius: Separation, is_exact: bool = True
-) -> Bool[Array, "*pairs"]:
-    """Return True where the hull of the control points lies outside the circle.
-
-    Args:
-        relative: Control points; where there are several radii, others come first.
-        radius: Radius of all, or of each other.
-        is_exact: False for a ball about the control points in place of their hull.
-    """
-    shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
-    per_piece = _per_piece(radius, shape).reshape(-1)
-    return are_outside(relative.reshape(-1, corners, d), per_piece, is_exact).reshape(shape)
-
-
-def separation_violation(relative: ControlPoints, radius: Separation) -> float:
-    """Compute by how much the hulls of the control points enter the circle at most [m].
-
-    Args:
-        relative: Control points; where there are several radii, others come first.
-        radius: Radius of all, or of each other.
-    """
-    near = ~are_balls_separated(relative, radius)
-    inside = _per_piece(radius, near.shape)[near] - hull_distance(relative[near])[0]
-    return float(inside.max(initial=0.0))
-
-
-def _per_piece(radius: Separation, shape: tuple[int, ...]) -> Array:
-    found = np.empty(shape)
-    found[...] = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
-    return found
-
-
-def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
-    """Return True where a ball about the control points lies outside the circle.
-
-    Sufficient for `are_hulls_separated`, and much faster.
-    """
-    return are_hulls_separated(relative, radius, is_exact=False)
-
-
-def are_pairs_separated(
-    paths: Float[Array, "k pieces 4 d"], radius: float
-) -> Bool[Array, "pairs pieces"]:
-    """Return `are_hulls_separated` of each piece for all pairs of paths, in little memory.
-
-    The pairs are in the order of `numpy.triu_indices`.
-    """
-    i, j = np.triu_indices(len(paths), 1)
-    separated = np.empty((len(i), paths.shape[1]), dtype=bool)
-    count = max(1, MAX_COORDINATES // max(1, paths[0].size)) if len(paths) else 1
-    for begin in range(0, len(i), count):
-        some = slice(begin, begin + count)
-        relative = paths[i[some]] - paths[j[some]]
-        separated[some] = are_hulls_separated(relative, radius)
-    return separated
-
-
-def are_paths_separated(
-    paths: Float[Array, "k pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
-) -> Bool[Array, " pairs"]:
-    """Return True where all pieces of the pairs i, j of paths keep their distances [m]."""
-    if not len(i):
-        return np.ones(0, dtype=bool)
-    middle, extent = enclosing_balls(paths)
-    apart = np.linalg.norm(middle[i] - middle[j], axis=1)
-    separated = np.ones(len(i), dtype=bool)
-    near = np.flatnonzero(~(apart > extent[i] + extent[j] + radius))  # also what is not finite
-    pair, piece = near_pieces(paths, i[near], j[near], radius[near])
-    pair = near[pair]
-    count = max(1, MAX_COORDINATES // paths[0, 0].size)
-    for begin in range(0, len(pair), count):
-        own, k = pair[begin : begin + count], piece[begin : begin + count]
-        relative = paths[i[own], k] - paths[j[own], k]
-        separated[own[~are_hulls_separated(relative, radius[own])]] = False
-    return separated
-
-
-def near_pieces(
-    paths: Float[Array, "k pieces points d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
-) -> tuple[Int[Array, " near"], Int[Array, " near"]]:
-    """List the pieces of pairs of paths whose points may be nearer than a distance.
-
-    Boxes about several pieces of each path are compared, which leaves out nearly all.
-
-    Args:
-        paths: Points of each piece [m].
-        i: First path of each pair.
-        j: Second one.
-        radius: Distance of each pair [m].
-
-    Returns:
-        Number of the pair, and the piece, of all that are left.
-    """
-    pieces, corners, d = paths.shape[1:]
-    compared, place = np.unique([i, j], return_inverse=True)
-    i, j = place.reshape(2, -1)
-    first = np.arange(0, pieces, BOX_PIECES)
-    low, high = np.empty((2, d, len(compared), len(first)))
-    for axis in range(d):  # each by itself is far faster
-        own = paths[compared, ..., axis].reshape(len(compared), pieces * corners)
-        low[axis] = np.minimum.reduceat(own, first * corners, axis=1)
-        high[axis] = np.maximum.reduceat(own, first * corners, axis=1)
-    most, found = (radius * (1 + ROUNDING)) ** 2, []
-    count = max(1, MAX_COORDINATES // max(1, len(first)))
-    for begin in range(0, len(i), count):
-        some = slice(begin, begin + count)
-        square = 0.0
-        for below, above in zip(low, high, strict=True):
-            gap = np.maximum(below[i[some]] - above[j[some]], below[j[some]] - above[i[some]])
-            square = square + np.square(np.maximum(gap, 0.0))
-        found.append(np.argwhere(~(square > most[some, None])) + np.array([begin, 0]))
-    pair, box = np.concatenate(found or [np.zeros((0, 2), dtype=int)]).T
-    piece = box[:, None] * BOX_PIECES + np.arange(BOX_PIECES)
-    is_there = piece < pieces
-    return np.broadcast_to(pair[:, None], piece.shape)[is_there], piece[is_there]
-
-
-def enclosing_balls(
-    paths: Float[Array, "k *points d"],
-) -> tuple[Float[Array, "k d"], Float[Array, " k"]]:
-    """Return the center and the radius of a ball about all points of each path [m]."""
-    points = paths.reshape(len(paths), -1, paths.shape[-1])
-    middle, square = np.empty(points[:, 0].shape), np.empty(len(points))
-    count = max(1, MAX_COORDINATES // max(1, points[:1].size))
-    for first in range(0, len(points), count):
-        few = slice(first, first + count)
-        axes = np.ascontiguousarray(np.moveaxis(points[few], 2, 0))
-        middle[few] = axes.mean(axis=2).T
-        axes -= middle[few].T[..., None]
-        square[few] = np.einsum("dkp,dkp->kp", axes, axes).max(axis=1)
-    return middle, np.sqrt(square)
 
 
 def convexify(

@@ -18,14 +18,9 @@ from numpy import ndarray as Array
 from dynamics.discretize import DiscreteModel
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import divide_pieces, division_matrices, hull_distance
-from problems.convexify import (
-    AvoidanceHorizon,
-    PassingSide,
-    are_balls_separated,
-    are_hulls_separated,
-    choose_normals,
-)
+from problems.convexify import AvoidanceHorizon, PassingSide, choose_normals
 from problems.half_spaces import HalfSpaces
+from problems.path_separation import are_balls_separated, are_hulls_separated
 from problems.transfer import Trajectory
 
 PARTS = 4  # into which pieces that come near are divided: hulls are wider than what they hold

@@ -14,14 +14,10 @@ from numpy import ndarray as Array
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array, hstack, vstack
 
 from problems.conic import ConicProgram
-from problems.convexify import (
-    SEPARATION_TOLERANCE,
-    AvoidanceHorizon,
-    choose_normals,
-    enclosing_balls,
-)
+from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, choose_normals
 from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, measure_gaps, support_obstacles
+from problems.path_separation import enclosing_balls
 from problems.solvers.verified import solve_program
 
 CHANGE_WEIGHT = 1e-2  # of the square of a change at the limit, for a step

@@ -17,10 +17,10 @@ from problems.convexify import (
     SEPARATION_TOLERANCE,
     PassingSide,
     across_motion,
-    are_balls_separated,
     choose_normals,
     rise_before,
 )
+from problems.path_separation import are_balls_separated
 
 INSIDE = 1e-9  # of the clearance: a path that is nearer than this is taken as inside
 

@@ -21,7 +21,8 @@ from planner_examples import (
 
 from problems.avoidance import AvoidanceProblem
 from problems.conic import ConicSolution, solve
-from problems.convexify import are_hulls_separated, choose_normals, convexify
+from problems.convexify import choose_normals, convexify
+from problems.path_separation import are_hulls_separated
 from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph

@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from problems.convexify import BOX_PIECES, are_hulls_separated, are_paths_separated, near_pieces
+from problems.path_separation import (
+    BOX_PIECES,
+    are_hulls_separated,
+    are_paths_separated,
+    near_pieces,
+)
 
 
 def random_paths(rng, count, pieces, axes):

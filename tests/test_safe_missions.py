@@ -16,7 +16,7 @@ from commitment_examples import (
 from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
 
 import sato
-from problems.convexify import are_hulls_separated
+from problems.path_separation import are_hulls_separated
 from sato.reconfiguration import first_commitment, loop
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.stopping import (

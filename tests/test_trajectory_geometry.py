@@ -25,7 +25,7 @@ from dynamics.trajectory_geometry import (
     sampled_separations,
     separations,
 )
-from problems.convexify import are_balls_separated, are_hulls_separated
+from problems.path_separation import are_balls_separated, are_hulls_separated
 
 number = st.floats(-10, 10, allow_subnormal=False).map(lambda v: 0.0 if abs(v) < 1e-9 else v)
 hulls = st.sampled_from([2, 3]).flatmap(lambda d: arrays(float, (4, d), elements=number))

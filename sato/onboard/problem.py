@@ -8,9 +8,10 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
-from problems.convexify import AvoidanceHorizon, are_hulls_separated, choose_normals, convexify
+from problems.convexify import AvoidanceHorizon, choose_normals, convexify
 from problems.fixed_size_avoidance import FixedSizeAvoidanceProblem
 from problems.half_spaces import HalfSpaces
+from problems.path_separation import are_hulls_separated
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.reconfiguration.solo_trajectories import TIE_BREAK_RISE

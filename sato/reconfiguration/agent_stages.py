@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from problems import convexify
 from problems.convexify import AvoidanceHorizon
+from problems.path_separation import are_hulls_separated
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment, target_costs
@@ -224,7 +224,7 @@ def keeps_clear(path: Array, clearance: float, other: CommittedMessage | OfferMe
     """Return True where the trajectory of an agent with a clearance is clear of another."""
     pieces = max(len(path), len(other.path))
     relative = extend(path, pieces) - extend(other.path, pieces)
-    return bool(convexify.are_hulls_separated(relative, (clearance + other.clearance) / 2).all())
+    return bool(are_hulls_separated(relative, (clearance + other.clearance) / 2).all())
 
 
 def extend(path: Float[Array, "pieces 4 d"], pieces: int) -> Float[Array, "_ 4 d"]:

@@ -20,6 +20,7 @@ from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from problems.path_separation import are_hulls_separated, are_paths_separated
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.evasion import ROUNDING, find_evasions, is_met, list_looks, make_report
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
@@ -90,7 +91,7 @@ def are_clear(
 ) -> Bool[Array, " pairs"]:
     """Find the pairs whose choices are clear of each other."""
     paths = offers.paths[np.arange(len(choice)), choice]
-    clear = convexify.are_paths_separated(paths, i, j, radius)
+    clear = are_paths_separated(paths, i, j, radius)
     return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, i, j)
 
 
@@ -262,7 +263,7 @@ def improve(
                 continue
             x = horizon.discrete_model.simulate(context.state[agent], u)
             points = horizon.control_points(x, u)
-            is_clear = bool(convexify.are_hulls_separated(points - others, clearance).all())
+            is_clear = bool(are_hulls_separated(points - others, clearance).all())
             is_clear = is_clear and is_path_clear(points, obstacles)
             if is_clear and stays_within_reach(context.mission, horizon, x, points):
                 return u, points, min(k, len(plan.trajectory.u))

@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import hull_distance
-from problems import convexify
 from problems.conic import Unsolved
 from problems.convexify import AvoidanceHorizon
 from problems.joint_stops import JointStopProblem, StoppingVehicle
 from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, violation
+from problems.path_separation import are_paths_separated
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
@@ -191,7 +191,7 @@ def _required_distances(now: Sequence[EvasionReport]) -> Float[Array, "agents ag
     clearance, paths = (np.array([getattr(own, k) for own in now]) for k in ("clearance", "path"))
     required = np.asarray((clearance[:, None] + clearance) / 2)
     i, j = np.triu_indices(len(now), 1)
-    is_clear = convexify.are_paths_separated(paths, i, j, required[i, j])
+    is_clear = are_paths_separated(paths, i, j, required[i, j])
     for a, b in zip(i[~is_clear], j[~is_clear], strict=True):
         kept = float(hull_distance(paths[a] - paths[b])[0].min()) * (1 - ROUNDING)
         required[a, b] = required[b, a] = min(required[a, b], kept)
@@ -290,4 +290,4 @@ class _CrowdEvasion:
         some = np.isin(i, changed) | np.isin(j, changed)
         i, j = i[some], j[some]
         paths = np.stack([own.path for own in after])
-        return bool(convexify.are_paths_separated(paths, i, j, self.required[i, j]).all())
+        return bool(are_paths_separated(paths, i, j, self.required[i, j]).all())

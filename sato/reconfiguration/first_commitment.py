@@ -14,9 +14,9 @@ import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from problems.path_separation import are_hulls_separated, are_paths_separated, enclosing_balls
 from sato.reconfiguration.evasion import EvasionReport, find_evasions
 from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.mission import Reconfiguration
@@ -161,7 +161,7 @@ class Traffic(NamedTuple):
                 return False
         clearance = mission.own_clearances(horizon.clearance, agents)
         radius = (clearance[:-1] + clearance[-1]) / 2
-        return bool(convexify.are_hulls_separated(paths[:-1] - paths[-1], radius).all())
+        return bool(are_hulls_separated(paths[:-1] - paths[-1], radius).all())
 
     def _drift_on(self, agents: Int[Array, " some"]) -> tuple[AvoidanceHorizon, Array]:
         """Return T_H steps, and control points, of agents in orbit that decide no more."""
@@ -285,7 +285,7 @@ def _find_near(
     clearance: Float[Array, " agents"],
 ) -> Int[Array, " near"]:
     """Find the others that a vehicle could meet on any way on which it stays within reach."""
-    middle, extent = convexify.enclosing_balls(paths)
+    middle, extent = enclosing_balls(paths)
     wide = max(mission.separation_scale or (1.0,))
     most = wide * longest_way(mission) + extent + (clearance + clearance[agent]) / 2
     near = np.flatnonzero(np.linalg.norm(middle - start, axis=1) <= most)
@@ -296,9 +296,9 @@ def _find_meeting(
     paths: Float[Array, "agents pieces 4 d"], clearance: Float[Array, " agents"]
 ) -> Int[Array, "pairs 2"]:
     """Find the pairs that are not clear of each other, in order."""
-    middle, extent = convexify.enclosing_balls(paths)
+    middle, extent = enclosing_balls(paths)
     most = 2 * float(extent.max()) + float(clearance.max())
     pairs = scipy.spatial.cKDTree(middle).query_pairs(most, output_type="ndarray")
     i, j = pairs[np.lexsort(pairs.T[::-1])].T
-    met = ~convexify.are_paths_separated(paths, i, j, (clearance[i] + clearance[j]) / 2)
+    met = ~are_paths_separated(paths, i, j, (clearance[i] + clearance[j]) / 2)
     return np.stack([i[met], j[met]], axis=1)

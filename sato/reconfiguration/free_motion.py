@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, NonlinearModel, StateSamples
 from dynamics.trajectory_geometry import control_points
-from problems import convexify
+from problems.path_separation import are_pairs_separated
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 
@@ -35,7 +35,7 @@ def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, 
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
     paths = drift_freely(mission, leg.targets, count, arrival * mission.step, h)
     radius = mission.largest_separation + mission.margin
-    clear = convexify.are_pairs_separated(paths, radius).all(axis=0)
+    clear = are_pairs_separated(paths, radius).all(axis=0)
     return count if clear.all() else int(clear.argmin()), h
 
 

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems.convexify import AvoidanceHorizon, enclosing_balls
+from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from problems.path_separation import enclosing_balls
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.passive_safety import OfferedDrifts
 from sato.reconfiguration.plan import Plan, Plans

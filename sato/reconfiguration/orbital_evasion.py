@@ -15,9 +15,9 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
-from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, are_points_clear, is_path_clear, measure_gaps
+from problems.path_separation import are_hulls_separated
 from sato.obstacles import spread_directions
 from sato.reconfiguration.evasion import ROUNDING
 from sato.reconfiguration.free_motion import drift_freely, simulate
@@ -154,7 +154,7 @@ def offer_detour(
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))
     u, paths, allowed = map(np.array, (offers.u[:, :], offers.paths[:, :], offers.is_allowed))
     for own, path in zip(detours.u, detours.paths, strict=True):
-        if convexify.are_hulls_separated(path - others, clearance).all():
+        if are_hulls_separated(path - others, clearance).all():
             u[row, 1], paths[row, 1], allowed[row, :2] = own, path, (False, True)
             return offers._replace(u=u, paths=paths, is_allowed=allowed)
     return offers

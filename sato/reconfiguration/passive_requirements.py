@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from problems.convexify import are_pairs_separated
 from problems.drifts import KEPT_FACTOR
+from problems.path_separation import are_pairs_separated
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.models import PlantSettings
 from sato.scenario.errors import InputError

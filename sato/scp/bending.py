@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from problems import convexify
 from problems.obstacle_paths import nearest_points, select_near
+from problems.path_separation import enclosing_balls, near_pieces
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner
@@ -36,12 +36,12 @@ def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Pl
     """Bend the paths of all agents in one round, those alone that are too near to others."""
     ids, paths, own = stack_paths(now)
     path = paths[:, :, 0]
-    middle, extent = convexify.enclosing_balls(path)
+    middle, extent = enclosing_balls(path)
     i, j = graph.pairs_among(ids)
     most = extent[i] + extent[j] + (own[i] + own[j]) / 2
     near = np.linalg.norm(middle[i] - middle[j], axis=1) < most
     i, j = i[near], j[near]
-    some = np.unique(convexify.near_pieces(path[:, :, None], i, j, (own[i] + own[j]) / 2)[0])
+    some = np.unique(near_pieces(path[:, :, None], i, j, (own[i] + own[j]) / 2)[0])
     i, j = i[some], j[some]
     apart, R = np.linalg.norm(path[i] - path[j], axis=2), (own[i] + own[j]) / 2
     last = np.array([count_pieces_left(agent) - 1 for agent in now.values()])

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from problems.convexify import are_paths_separated
 from problems.obstacle_paths import is_path_clear
+from problems.path_separation import are_paths_separated
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, may_have_to_solve, update_planner

@@ -15,8 +15,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from problems import convexify
 from problems.avoidance import Relaxation
+from problems.path_separation import are_paths_separated
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.bending import bend_all, can_move, stack_paths
@@ -68,7 +68,7 @@ def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, 
     ids, paths, own = stack_paths(now)
     rank = np.array([now[i].priority[0] for i in ids])
     i, j = graph.pairs_among(ids)
-    meets = ~convexify.are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
+    meets = ~are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
     acts = np.array([_improves(own) or not own.keeps_clear([]) for own in now.values()])
     acts[i[rank[j] <= rank[i]]] = acts[j[rank[i] <= rank[j]]] = True

@@ -18,6 +18,7 @@ from problems import convexify
 from problems.avoidance import AvoidanceProblem, AvoidanceResult
 from problems.conic import Unsolved
 from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
+from problems.path_separation import are_balls_separated, are_hulls_separated
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round, schedule_turns
@@ -133,7 +134,7 @@ def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:
     return [
         message.priority[2]
         for message, near in zip(inbox, NEARBY_FACTOR * clear, strict=True)
-        if not convexify.are_balls_separated(path - message.control_points, near).all()
+        if not are_balls_separated(path - message.control_points, near).all()
     ]
 
 
@@ -252,6 +253,6 @@ def solve_pair(
         # A solution within the solver's tolerance may miss a target by more than counts as none.
         and reaches_target(both[0], own.problem.goal, own.clearance)
         and reaches_target(both[1], other.problem.goal, other.clearance)
-        and all(convexify.are_hulls_separated(*gap).all() for gap in gaps)
+        and all(are_hulls_separated(*gap).all() for gap in gaps)
     )
     return (both if is_accepted else None), solves

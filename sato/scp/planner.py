@@ -20,6 +20,7 @@ from problems.obstacle_paths import (
     is_path_clear,
     violation,
 )
+from problems.path_separation import are_balls_separated, are_hulls_separated, separation_violation
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem
 from sato.scp.passive_safety import PassiveSafety
@@ -186,7 +187,7 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     lacking = violation(agent.control_points, agent.obstacles)
     if above:
         radii = pair_clearances(above, agent.horizon.clearance)
-        of_others = convexify.separation_violation(agent.control_points - paths_of(above), radii)
+        of_others = separation_violation(agent.control_points - paths_of(above), radii)
         lacking = max(lacking, of_others)
     if agent.passive is not None and not agent.passive.is_safe(drifts_of(above)):
         agent = agent._replace(has_failed=True)
@@ -249,7 +250,7 @@ def is_clear(
     if not others:
         return True
     radii = pair_clearances(others, clearance)
-    return bool(convexify.are_hulls_separated(path - paths_of(others), radii).all())
+    return bool(are_hulls_separated(path - paths_of(others), radii).all())
 
 
 def _solve_iteration(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Planner:
@@ -325,7 +326,7 @@ def solve_around(
     others = others.reshape(-1, *nominal.shape)
     clear = pair_clearances(messages, horizon.clearance)
     near, required = NEARBY_FACTOR * clear, required_separations(clear)
-    constrained = ~convexify.are_balls_separated(agent.control_points - others, near).all(axis=1)
+    constrained = ~are_balls_separated(agent.control_points - others, near).all(axis=1)
     beside = np.zeros(0, dtype=bool)
     if bodies is not None:
         beside = _find_met(agent.control_points, bodies, NEARBY_FACTOR)
@@ -342,7 +343,7 @@ def solve_around(
         except Unsolved:
             return None
         path = horizon.control_points(result.trajectory.x, result.trajectory.u)
-        is_met = ~convexify.are_hulls_separated(path - others, clear).all(axis=1)
+        is_met = ~are_hulls_separated(path - others, clear).all(axis=1)
         is_new = bool((is_met & ~constrained).any())
         constrained = constrained | is_met
         if bodies is not None:
