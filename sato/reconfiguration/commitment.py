@@ -192,11 +192,7 @@ def leaves_plan(plan: Plan, followed: Plan | None = None) -> bool:
 def follow(context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T m"]) -> Plan:
     """Return a plan of which so many steps are flown; without a target if it is left too early.
 
-    Args:
-        context: Time and surroundings.
-        plan: Plan of the agent.
-        steps: Steps for which it is flown.
-        u: Controls to which the agent has committed.
+    The controls u are all that the agent has committed to.
     """
     if is_kept(context, plan):
         return plan

@@ -88,10 +88,7 @@ class Offers(NamedTuple):
 def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
     """Make the offers of the agents that have planned.
 
-    Args:
-        context: States and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories; an agent without one stops at once.
+    An agent that has not committed to anything stops at once.
     """
     mission, plan_steps = context.mission, _plan_steps(context)
     controls, index, is_begun = _list_controls(context, plans, committed, plan_steps)

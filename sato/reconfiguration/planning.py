@@ -224,10 +224,7 @@ def _count_failures(previous: Plans, i: int) -> int:
 def give_up_closed(context: DecisionContext, plans: Plans, seen_by: list[int]) -> Plans:
     """Give up plans that are closed by what agents have seen only now, or that comes over rest.
 
-    Args:
-        context: States and surroundings.
-        plans: Plans of the agents.
-        seen_by: Numbers of the agents that have seen something new.
+    Those in `seen_by` have seen something new.
     """
     mission, around = context.mission, context.surroundings
     found, k = dict(plans), context.step_index
