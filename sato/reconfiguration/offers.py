@@ -111,10 +111,9 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     is_allowed[:, -1] = True
     clearance = mission.own_clearances(horizon.clearance, agents)
     for row, (i, plan) in enumerate(plans.items()):
-        own, target = plan.trajectory, rest_at_target(context, i)
-        if len(own.u) == 0 and not reaches_target(own, target, clearance[row]):
-            # It is late, or has drifted: it takes a turn.
-            is_allowed[row, :-1] = False
+        own = plan.trajectory
+        if len(own.u) == 0:  # one that is late, or has drifted, takes a turn
+            is_allowed[row, :-1] &= reaches_target(own, rest_at_target(context, i), clearance[row])
     first, each = np.zeros_like(controls.row), np.arange(len(u))
     chosen = ByChoice(horizon.steps, (u,), first, each, index), paths, is_allowed, clearance
     boxes = low[index].min(axis=1), high[index].max(axis=1)

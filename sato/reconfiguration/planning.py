@@ -158,6 +158,8 @@ def plan_alone(
         T: make_horizon(mission, context.time, T, leg)
         for T in set(ahead[context.graph.alive].tolist())
     }
+    each_agent = np.arange(len(memory.clock))
+    kept = {T: mission.own_clearances(own.clearance, each_agent) for T, own in horizons.items()}
     planners: dict[int, Planner] = {}
     unreachable: list[int] = []
     solve_count, around = 0, context.surroundings
@@ -176,14 +178,13 @@ def plan_alone(
         for row, (i, transfer, solo, rest) in enumerate(each):
             steps = int(ahead[i])
             clearance = horizons[steps].clearance
-            (wide,) = mission.own_clearances(clearance, np.array([i])).tolist()
             obstacles = around and around.known_to(mission, i, flown[steps], clearance)
             planner = Planner(
                 priority=(_priority_class(context, i, previous), -float(spent[i]), i),
                 target_state=leg.targets[memory.target_index[i]],
                 transfer=transfer,
                 solver=context.solver_of(i),
-                horizon=horizons[steps].with_clearance(wide),
+                horizon=horizons[steps].with_clearance(float(kept[steps][i])),
                 solo=solo,
                 nominal=solo,
                 control_points=paths[steps][row],
