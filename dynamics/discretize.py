@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
+FEW_STATES = 256  # linearized together, so that they stay in the processor's cache
 BLOCK_STEPS = 16  # that are integrated at once
 ON_GRID = 1e-10  # of a step, within which it begins at a multiple of its length
 SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
@@ -156,11 +157,13 @@ def linearize_along(
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
     _validate_steps(dt, T)
-    if u.ndim > 2:  # one by one, as the processor's cache holds what one takes
-        each = [linearize_along(model, *own, dt, t0) for own in zip(x, u, strict=True)]
-        A, B, z = (np.stack(parts) for parts in zip(*((d.A, d.B, d.z) for d in each), strict=True))
+    few = max(1, FEW_STATES // max(1, T))
+    if u.ndim > 2 and len(u) > few:
+        parts = [slice(a, a + few) for a in range(0, len(u), few)]
+        each = [linearize_along(model, x[part], u[part], dt, t0) for part in parts]
+        A, B, z = (np.concatenate([getattr(own, name) for own in each]) for name in "ABz")
         return DiscreteModel(A, B, z, dt)
-    x0, times = x[:T], t0 + dt * np.arange(T)
+    x0, times = x[..., :T, :], t0 + dt * np.arange(T)
     lead = x0.shape[:-1]
 
     def rate(t: float, y: Array) -> Array:
