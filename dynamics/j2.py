@@ -34,33 +34,31 @@ class J2(NonlinearModel):
 
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
-        chief, pole, omega, centrifugal, gravity = _axes_at(self.orbit, t)
-        l, v = x[..., :3], x[..., 3:]  # noqa: E741
-        g = gravity_acceleration(_from_earth_center(chief, l), pole, self.orbit) - gravity
-        a = g + u - _matvec(centrifugal, l) - 2 * _matvec(omega, v)
+        axes = _axes_at(self.orbit, t)
+        g = gravity_acceleration(x[..., :3] + axes.chief, axes.pole, self.orbit)
+        a = g - axes.gravity + u + _matvec(axes.apparent, x)
         change = np.empty((*a.shape[:-1], 6), a.dtype)
-        change[..., :3], change[..., 3:] = v, a
+        change[..., :3], change[..., 3:] = x[..., 3:], a
         return change
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u."""
-        chief, pole, omega, centrifugal, _ = _axes_at(self.orbit, t)
-        gradient = gravity_gradient(_from_earth_center(chief, x[..., :3]), pole, self.orbit)
+        axes = _axes_at(self.orbit, t)
+        gradient = gravity_gradient(x[..., :3] + axes.chief, axes.pole, self.orbit)
         B = np.zeros((*gradient.shape[:-2], 6, 3))
         A = np.zeros((*gradient.shape[:-2], 6, 6), gradient.dtype)
         A[..., :3, 3:] = B[..., 3:, :] = np.eye(3)
-        A[..., 3:, :3] = gradient - centrifugal
-        A[..., 3:, 3:] = -2 * omega
+        A[..., 3:, :] = axes.apparent
+        A[..., 3:, :3] += gradient
         return A, B
 
 
 class _Axes(NamedTuple):
     """The chief and its LVLH axes, at one time or at many."""
 
-    chief: Array  # polar-nodal elements
+    chief: Array  # r x̂, from the Earth's center
     pole: Array  # unit vector along the Earth's axis
-    omega: Array  # [ω]×
-    centrifugal: Array  # [α]× + [ω]×²
+    apparent: Array  # −[[α]× + [ω]×², 2 [ω]×], which takes a state to apparent accelerations
     gravity: Array  # of the chief
 
 
@@ -92,10 +90,16 @@ def _fixed_axes(orbit: Orbit, times: Array) -> _Axes:
 
 
 def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
-    chief = orbit.elements_at(times)
-    pole, at_chief = _earth_axis(chief), _from_earth_center(chief, np.zeros(3))
-    gravity = gravity_acceleration(at_chief, pole, orbit)
-    return _Axes(chief, pole, *_rotation_matrices(chief, orbit), gravity)
+    elements = orbit.elements_at(times)
+    chief, pole, rates = (
+        elements[..., :1] * X_AXIS,
+        _earth_axis(elements),
+        lvlh_rates(elements, orbit.k_J2),
+    )
+    omega = _cross_matrix(rates.omega_x, rates.omega_z)
+    alpha = _cross_matrix(rates.alpha_x, rates.alpha_z)
+    apparent = -np.concatenate([alpha + omega @ omega, 2 * omega], axis=-1)
+    return _Axes(chief, pole, apparent, gravity_acceleration(chief, pole, orbit))
 
 
 def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
@@ -205,8 +209,9 @@ def _cross_matrix(a: Scalars, c: Scalars) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    # NumPy's sums take longer along an axis of three.
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+    if a.dtype == object or b.dtype == object:  # symbols
+        return np.asarray((a * b).sum(axis=-1))
+    return np.asarray(np.vecdot(a, b))
 
 
 def _matvec(matrix: Array, vector: Array) -> Array:
