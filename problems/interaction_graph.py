@@ -188,8 +188,9 @@ def algebraic_connectivity(
     product = (vector[..., 1:] * shares[..., None, :]) @ vector[..., 1:].swapaxes(-1, -2)
     square = np.diagonal(product, axis1=-2, axis2=-1)
     gradient = square[..., None] + square[..., None, :] - 2 * product
-    pairs = is_member[..., None] & is_member[..., None, :]
-    return AlgebraicConnectivity(value[..., 1], third, np.where(pairs, gradient, 0.0))
+    if not is_member.all():
+        gradient = np.where(is_member[..., None] & is_member[..., None, :], gradient, 0.0)
+    return AlgebraicConnectivity(value[..., 1], third, gradient)
 
 
 def connectivity_eigenvalues(
@@ -204,7 +205,9 @@ def _pad_laplacian(
     weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
 ) -> Float[Array, "*k n n"]:
     # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
-    among = np.where(members[..., None] & members[..., None, :], weight, 0.0)
+    among = weight
+    if not members.all():
+        among = np.where(members[..., None] & members[..., None, :], weight, 0.0)
     return _laplacian(among, np.where(members, among.sum(axis=-1), 2.0 * weight.shape[-1]))
 
 
@@ -222,7 +225,8 @@ def _select_eigenvalues(
 ) -> tuple[Float[Array, "*k n"], Float[Array, "*k"], Float[Array, "*k"]]:
     """Return the eigenvalues of members, infinite beyond, and λ₂ and λ₃ of them."""
     n = value.shape[-1]
-    value = np.where(np.arange(n) < members.sum(axis=-1)[..., None], value, np.inf)
+    if not members.all():
+        value = np.where(np.arange(n) < members.sum(axis=-1)[..., None], value, np.inf)
     return value, value[..., 1], value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
 
 

@@ -89,6 +89,8 @@ def advance_vehicles(
         moved = step_quadrotor(vehicles, command, plant, mission.step)
     else:
         moved = step_kinematic(vehicles, command, plant, mission.step, noise)
+    if alive.all():
+        return moved
     both = zip(vehicles, moved, strict=True)
     return VehicleState(
         *(np.where(alive if was.ndim == 1 else alive[:, None], now, was) for was, now in both)

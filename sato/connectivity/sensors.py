@@ -94,8 +94,11 @@ def _measure_ranges(
     others = np.broadcast_to(position, (n, n, 3))
     away = np.where(alive, vector_lengths(others - position[:, None]), np.inf)
     np.fill_diagonal(away, np.inf)
-    points = np.concatenate([others, nearest_points(position, obstacles)], axis=1)
-    distance = np.concatenate([away, obstacle_distances(position, obstacles)], axis=1)
+    to_obstacles, of_obstacles = obstacle_distances(position, obstacles), np.empty((n, 0, 3))
+    if (to_obstacles < mission.repulsion.max_distance).any():
+        of_obstacles = nearest_points(position, obstacles)
+    points = np.concatenate([others, of_obstacles], axis=1)
+    distance = np.concatenate([away, to_obstacles], axis=1)[:, : points.shape[1]]
     is_near = (distance < mission.repulsion.max_distance) & alive[:, None]
     local = rotate_by_yaw(points - position[:, None], -vehicles.yaw[:, None])
     return np.where(is_near[..., None], local, np.nan)

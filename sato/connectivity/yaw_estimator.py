@@ -72,10 +72,11 @@ def _close_triangles(
     i, k = np.nonzero(is_mutual)
     which, j = np.nonzero(inbox.is_mutual[i, k] & (sees & ~is_mutual)[i])
     i, k = i[which], k[which]
-    error, count = np.zeros_like(psi), np.zeros_like(psi)
-    np.add.at(error, (i, j), np.sin(psi[i, k] + inbox.relative_yaw[i, k, j] - psi[i, j]))
-    np.add.at(count, (i, j), 1)
-    return np.where(count > 0, wrap_angle(psi + gain * error / np.maximum(count, 1)), psi)
+    closure = np.sin(psi[i, k] + inbox.relative_yaw[i, k, j] - psi[i, j])
+    edge, n = i * len(psi) + j, psi.size
+    error, count = np.bincount(edge, closure, n), np.bincount(edge, minlength=n)
+    mean = (error / np.maximum(count, 1)).reshape(psi.shape)
+    return np.where(count.reshape(psi.shape) > 0, wrap_angle(psi + gain * mean), psi)
 
 
 def _view_weight(p: Vectors, camera: Camera) -> Numbers:

@@ -143,8 +143,13 @@ def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
         off = found - np.column_stack([lambda2, frames.lambda3])
     off, tolerance = off[~(np.isinf(found) & np.isnan(off))], TOLERANCE * weight.shape[1]
     yield expect_small_error("eigenvalues", off, tolerance, "off from those of the weights")
-    labels = [label_components(w > 0, a) for w, a in zip(weight, alive, strict=True)]
-    odd = np.array(labels) != np.array([canonicalize_labels(row) for row in frames.component])
+    graph, component = weight > 0, frames.component
+    differs = (graph[1:] != graph[:-1]).any(axis=(1, 2)) | (alive[1:] != alive[:-1]).any(axis=1)
+    differs |= (component[1:] != component[:-1]).any(axis=1)
+    first = np.append(0, np.flatnonzero(differs) + 1)
+    labels = np.array([label_components(graph[k], alive[k]) for k in first])
+    odd = labels != np.array([canonicalize_labels(component[k]) for k in first])
+    odd = np.repeat(odd, np.diff(first, append=len(graph)), axis=0)
     yield expect_none("component", odd, "labels that the weights do not give")
     is_lost, least = lambda2 <= limit, float(lambda2.min())
     text = f"λ₂ is {least:.6g} at least, more than {limit:g} is asked"
