@@ -24,14 +24,15 @@ class CommunicationGraph:
     alive: Bool[Array, " agents"]
 
     def __post_init__(self) -> None:
-        if not np.array_equal(self.adjacency, self.adjacency.T):
-            i, j = np.argwhere(self.adjacency & ~self.adjacency.T)[0]
-            raise ValueError(f"agent {i} hears agent {j} but not the other way round")
-        if np.any(np.diag(self.adjacency)):
-            raise ValueError(f"agent {np.argmax(np.diag(self.adjacency))} is its own neighbor")
-        if np.any(self.adjacency[~self.alive]):
-            lost = np.flatnonzero(~self.alive & self.adjacency.any(axis=1))[0]
-            raise ValueError(f"agent {lost} is not alive but has neighbors")
+        i, j = self.edges
+        is_directed, is_lost = ~self.adjacency[j, i], ~self.alive[i]
+        if is_directed.any():
+            k = is_directed.argmax()
+            raise ValueError(f"agent {i[k]} hears agent {j[k]} but not the other way round")
+        if (i == j).any():
+            raise ValueError(f"agent {i[i == j][0]} is its own neighbor")
+        if is_lost.any():
+            raise ValueError(f"agent {i[is_lost][0]} is not alive but has neighbors")
 
     @classmethod
     def from_positions(
@@ -77,9 +78,15 @@ class CommunicationGraph:
         return tuple(np.flatnonzero(row) for row in self.adjacency)
 
     @cached_property
+    def edges(self) -> tuple[Int[Array, " edges"], Int[Array, " edges"]]:
+        """Both agents of each edge, in order; an edge each way."""
+        i, j = np.nonzero(self.adjacency)
+        return i, j
+
+    @cached_property
     def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Both agents of each pair of neighbors, the one of lower number first, in order."""
-        i, j = np.nonzero(self.adjacency)
+        i, j = self.edges
         return i[i < j], j[i < j]
 
     def pairs_among(
