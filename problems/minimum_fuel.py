@@ -169,7 +169,8 @@ def _solve_decoupled(
         for q in np.flatnonzero(~is_certified):
             x[q], is_reachable[q] = _solve_with_highs(Q, transformed[q] / U, w)
     is_reachable[unreachable] = False
-    return x.reshape(len(b), T, i) * (U * limit.shares), is_reachable
+    x *= np.tile(U * limit.shares, T)
+    return x.reshape(len(b), T, i), is_reachable
 
 
 def _solve_parallel(
