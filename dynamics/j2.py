@@ -91,11 +91,8 @@ def _fixed_axes(orbit: Orbit, times: Array) -> _Axes:
 
 def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
     elements = orbit.elements_at(times)
-    chief, pole, rates = (
-        elements[..., :1] * X_AXIS,
-        _earth_axis(elements),
-        lvlh_rates(elements, orbit.k_J2),
-    )
+    chief, pole = elements[..., :1] * X_AXIS, _earth_axis(elements)
+    rates = lvlh_rates(elements, orbit.k_J2)
     omega = _cross_matrix(rates.omega_x, rates.omega_z)
     alpha = _cross_matrix(rates.alpha_x, rates.alpha_z)
     apparent = -np.concatenate([alpha + omega @ omega, 2 * omega], axis=-1)
@@ -167,10 +164,9 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
     v = np.zeros(position.shape)
     v[..., 0] = rates.omega_z * y / 2
     v[..., 2] = np.where(out_of_plane, (v_x / r - rates.omega_z * np.tan(theta)) * z, 0.0)
-    pole = _earth_axis(chief)
-    own_potential = _potential(_from_earth_center(chief, np.zeros(3)), pole, orbit)
-    energy = (v_x**2 + (h / r) ** 2) / 2 + own_potential
-    speed2 = 2 * (energy - _potential(_from_earth_center(chief, position), pole, orbit))
+    pole, center = _earth_axis(chief), r * X_AXIS
+    energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(center, pole, orbit)
+    speed2 = 2 * (energy - _potential(position + center, pole, orbit))
     radial = v_x + v[..., 0] - rates.omega_z * y
     normal = v[..., 2] + rates.omega_x * y
     transverse = np.sqrt(speed2 - radial**2 - normal**2)
@@ -184,21 +180,10 @@ def _potential(R: Array, pole: Array, orbit: Orbit) -> Array:
     return np.asarray(-orbit.mu / rho - orbit.k_J2 / rho**3 * (1 / 3 - (Z / rho) ** 2))
 
 
-def _from_earth_center(chief: Array, l: Array) -> Array:  # noqa: E741
-    return np.asarray(l + chief[..., :1] * X_AXIS)
-
-
 def _earth_axis(chief: Array) -> Array:
     """Return the unit vector along the Earth's axis in LVLH axes."""
     i, theta = chief[..., 4], chief[..., 5]
     return np.stack([np.sin(i) * np.sin(theta), np.sin(i) * np.cos(theta), np.cos(i)], axis=-1)
-
-
-def _rotation_matrices(chief: Array, orbit: Orbit) -> tuple[Array, Array]:
-    """Return [ω]× and [α]× + [ω]×²."""
-    rates = lvlh_rates(chief, orbit.k_J2)
-    omega = _cross_matrix(rates.omega_x, rates.omega_z)
-    return omega, _cross_matrix(rates.alpha_x, rates.alpha_z) + omega @ omega
 
 
 def _cross_matrix(a: Scalars, c: Scalars) -> Array:

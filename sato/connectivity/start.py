@@ -71,9 +71,6 @@ class RandomPoses(Definition):
         )
 
 
-Start = RandomPoses | Poses
-
-
 def as_poses(value: Any) -> Any:
     """Convert an array of positions to `Poses`; leave anything else as it is."""
     return Poses(as_array(value, 2)) if isinstance(value, Array | list | tuple) else value

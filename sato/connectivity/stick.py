@@ -137,9 +137,6 @@ class RecordedStick(Definition):
         return False
 
 
-Stick = WaypointStick | RecordedStick
-
-
 def _check_rows(rows: Float[Array, "k d"], key: str) -> None:
     if rows.shape[1] != 3:
         raise InputError(key, f"needs rows of 3 coordinates, got {rows.shape[1]}")
