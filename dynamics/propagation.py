@@ -1,9 +1,7 @@
 """Propagation of many agents in inertial space, with an accuracy that holds for each."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import pi
-from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -73,17 +71,6 @@ def propagate(
     return path.reshape(len(times), -1, 6)
 
 
-@dataclass(frozen=True)
-class _ImpactEvent:
-    """Event function for SciPy: the smallest radius minus that of the Earth."""
-
-    radii: Callable[[Array], Array]
-    terminal: ClassVar[bool] = True
-
-    def __call__(self, t: float, y: Array) -> float:
-        return float(self.radii(y).min()) - EARTH_RADIUS
-
-
 def integrate_orbits(
     rate: Callable[[float, Array], Array],
     y0: Array,
@@ -113,9 +100,14 @@ def integrate_orbits(
         Impact: An agent hits the Earth.
         RuntimeError: The integrator fails.
     """
-    settings = {"rtol": rtol, "atol": atol, "first_step": first_step}
-    span, event = (0.0, float(times[-1])), _ImpactEvent(radii)
-    solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, events=event, **settings)
+
+    def altitude(t: float, y: Array) -> float:
+        return float(radii(y).min()) - EARTH_RADIUS
+
+    altitude.terminal = True  # type: ignore[attr-defined]  # as SciPy asks for
+    settings = {"rtol": rtol, "atol": atol, "first_step": first_step, "events": altitude}
+    span = 0.0, float(times[-1])
+    solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, **settings)
     if solution.status == 1:
         lowest = np.argmin(radii(solution.y_events[0][0]))
         raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]))
