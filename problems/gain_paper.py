@@ -1,5 +1,7 @@
 """Formation gains by the method of the paper, for comparison [Lusk2020, eq. 8 to 10]."""
 
+from functools import partial
+
 import numpy as np
 from numpy import ndarray as Array
 from scipy.linalg import block_diag
@@ -10,8 +12,6 @@ from problems.gain_problem import GainProblem, GainSolution
 
 ADMM_PENALTY = 1.0  # μ, as in the paper's code
 REGULARIZATION = 1e-12  # makes the normal equations definite where constraints are redundant
-
-LinearConstraint = tuple[csr_array, Array]
 
 
 def solve(
@@ -63,15 +63,16 @@ def solve(
     _ = problem.trace_direction  # raises where only matrices of trace 0 are left
     Q = _to_real_blocks(problem.complement)
     p = Q.shape[1]
-    rows = _graph_free_constraints(p, np.iscomplexobj(problem.kernel))
-    duals_from = sum(len(b) for _, b in rows)
-    rows.append(_non_edge_constraints(problem, Q))
-    A, b = vstack([row for row, _ in rows], format="csr"), np.concatenate([b for _, b in rows])
+    X = np.tile(np.eye(p), (2, 2))  # satisfies all but the non-edges, of which b is zero
+    graph_free = _graph_free_constraints(p, np.iscomplexobj(problem.kernel))
+    non_edges = _non_edge_constraints(problem, Q)
+    A = vstack([graph_free, non_edges], format="csr")
+    b = np.concatenate([graph_free @ X.ravel(), np.zeros(non_edges.shape[0])])
     normal = (A @ A.T + REGULARIZATION * eye_array(len(b))).tocsc()
     factor = splu(normal, permc_spec="MMD_AT_PLUS_A")
 
     C = block_diag(np.eye(p), np.zeros((p, p)))
-    X, S, μ = np.tile(np.eye(p), (2, 2)), np.zeros((2 * p, 2 * p)), ADMM_PENALTY
+    S, μ = np.zeros((2 * p, 2 * p)), ADMM_PENALTY
     for _ in range(max_iterations):
         y = factor.solve(A @ (C - S - μ * X).ravel() + μ * b)
         W = C - (A.T @ y).reshape(2 * p, 2 * p) - μ * X
@@ -82,28 +83,25 @@ def solve(
         if trace_error <= trace_tolerance * p or change < change_tolerance:
             break
     L = problem.project(_from_real_blocks(Q @ X[p:, p:] @ Q.T, problem)).L
-    return GainSolution(L, _dual_matrix(y[duals_from:], problem))
+    return GainSolution(L, _dual_matrix(y[graph_free.shape[0] :], problem))
 
 
-def _graph_free_constraints(p: int, planar: bool) -> list[LinearConstraint]:
+def _graph_free_constraints(p: int, planar: bool) -> csr_array:
     # The rows of A(X) = b that do not depend on the graph.
     k, (i, j) = np.arange(p), np.triu_indices(p, 1)
-    block_row, block_column = (grid.ravel() for grid in np.indices((p, p)))
-
-    def entries(i: Array, j: Array) -> csr_array:
-        return _symmetric_entry_rows(p, i, j)
-
+    block_row, block_column = np.indices((p, p)).reshape(2, -1)
+    entries = partial(_symmetric_entry_rows, p)
     rows = [
-        (entries(k[1:], k[1:]) - entries(0 * k[1:], 0 * k[1:]), np.zeros(p - 1)),
-        (entries(i, j), np.zeros(len(i))),
-        (entries(block_row, p + block_column), np.eye(p).ravel()),
-        (csr_array(np.ones((1, p))) @ entries(p + k, p + k), np.array([float(p)])),
+        entries(k[1:], k[1:]) - entries(0 * k[1:], 0 * k[1:]),
+        entries(i, j),
+        entries(block_row, p + block_column),
+        csr_array(np.ones((1, p))) @ entries(p + k, p + k),
     ]
     if planar:
         i, j = p + 2 * np.array(np.triu_indices(p // 2))
-        rows.append((entries(i, j) - entries(i + 1, j + 1), np.zeros(len(i))))
-        rows.append((entries(i, j + 1) + entries(i + 1, j), np.zeros(len(i))))
-    return rows
+        rows.append(entries(i, j) - entries(i + 1, j + 1))
+        rows.append(entries(i, j + 1) + entries(i + 1, j))
+    return vstack(rows)
 
 
 def _symmetric_entry_rows(p: int, i: Array, j: Array) -> csr_array:
@@ -113,15 +111,15 @@ def _symmetric_entry_rows(p: int, i: Array, j: Array) -> csr_array:
     return csr_array((np.full(2 * len(i), 0.5), at), shape=(len(i), size * size))
 
 
-def _non_edge_constraints(problem: GainProblem, Q: Array) -> LinearConstraint:
+def _non_edge_constraints(problem: GainProblem, Q: Array) -> csr_array:
     # The block of Q Z Qᵀ of a non-edge is zero; of a planar block the first column suffices.
     p, planar = Q.shape[1], np.iscomplexobj(problem.kernel)
     i, j = problem.non_edges
     first, second = (np.r_[2 * i, 2 * i + 1], np.r_[2 * j, 2 * j]) if planar else (i, j)
     outer = np.einsum("ea,eb->eab", Q[first], Q[second])
-    within = [p + grid.ravel() for grid in np.indices((p, p))]
+    within = p + np.indices((p, p)).reshape(2, -1)
     dense = csr_array(((outer + outer.transpose(0, 2, 1)) / 2).reshape(len(first), p * p))
-    return dense @ _symmetric_entry_rows(p, *within), np.zeros(len(first))
+    return dense @ _symmetric_entry_rows(p, *within)
 
 
 def _dual_matrix(y: Array, problem: GainProblem) -> Array:
