@@ -48,9 +48,8 @@ def _elements_at(orbit: Orbit, t: float) -> Any:
     return casadi.DM(orbit.elements_at(t))
 
 
-@cache  # without limit: CasADi does not keep the object alive that its function belongs to
-def _elements_function(orbit: Orbit) -> ElementsFunction:
-    return ElementsFunction(orbit)
+# Without limit: CasADi does not keep the object alive that its function belongs to.
+_elements_function = cache(ElementsFunction)
 
 
 def symbolic_elements(orbit: Orbit, times: Shaped[Array, "*k"]) -> Shaped[Array, "*k 6"]:
