@@ -1,6 +1,6 @@
 """Obstacles: spheres, boxes and planes, their distances, and lines of sight among them."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
 from typing import Annotated, ClassVar, NamedTuple
@@ -56,12 +56,11 @@ class Obstacles(NamedTuple):
     planes: Float[Array, "planes 4"]  # unit normal out of the obstacle, n·x at its surface [m]
 
     @classmethod
-    def of(cls, obstacles: Iterable[Obstacle]) -> "Obstacles":
+    def of(cls, obstacles: Sequence[Obstacle]) -> "Obstacles":
         """Collect definitions."""
-        listed = tuple(obstacles)
-        spheres = [(*one.center, one.radius) for one in listed if isinstance(one, Sphere)]
-        boxes = [(*one.low, *one.high) for one in listed if isinstance(one, Box)]
-        planes = [one.unit_normal_and_offset for one in listed if isinstance(one, Plane)]
+        spheres = [(*one.center, one.radius) for one in obstacles if isinstance(one, Sphere)]
+        boxes = [(*one.low, *one.high) for one in obstacles if isinstance(one, Box)]
+        planes = [one.unit_normal_and_offset for one in obstacles if isinstance(one, Plane)]
         parts = ((spheres, 4), (boxes, 6), (planes, 4))
         return cls(*(np.array(rows, dtype=float).reshape(-1, k) for rows, k in parts))
 
@@ -129,28 +128,22 @@ def obstacle_distances(
 ) -> Float[Array, "*k obstacles"]:
     """Compute the distance to each sphere, box and plane, negative inside [m]."""
     kinds = zip(obstacles, (_sphere_distances, _box_distances, _plane_distances), strict=True)
-    found = [compute(position, rows) for rows, compute in kinds if len(rows)]
+    found = [compute(position[..., None, :], rows) for rows, compute in kinds if len(rows)]
     return np.concatenate(found, axis=-1) if found else np.empty((*position.shape[:-1], 0))
 
 
-def _sphere_distances(
-    p: Float[Array, "*k 3"], spheres: Float[Array, "spheres 4"]
-) -> Float[Array, "*k spheres"]:
-    return np.asarray(vector_lengths(p[..., None, :] - spheres[:, :3]) - spheres[:, 3])
+def _sphere_distances(at: Points, spheres: Float[Array, "spheres 4"]) -> Float[Array, "*#k"]:
+    return np.asarray(vector_lengths(at - spheres[:, :3]) - spheres[:, 3])
 
 
-def _box_distances(
-    p: Float[Array, "*k 3"], boxes: Float[Array, "boxes 6"]
-) -> Float[Array, "*k boxes"]:
-    beyond = np.maximum(boxes[:, :3] - p[..., None, :], p[..., None, :] - boxes[:, 3:])
+def _box_distances(at: Points, boxes: Float[Array, "boxes 6"]) -> Float[Array, "*#k"]:
+    beyond = np.maximum(boxes[:, :3] - at, at - boxes[:, 3:])
     outside = vector_lengths(np.maximum(beyond, 0))
     return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0))
 
 
-def _plane_distances(
-    p: Float[Array, "*k 3"], planes: Float[Array, "planes 4"]
-) -> Float[Array, "*k planes"]:
-    return np.asarray(p @ planes[:, :3].T - planes[:, 3])
+def _plane_distances(at: Points, planes: Float[Array, "planes 4"]) -> Float[Array, "*#k"]:
+    return np.asarray(at[..., 0, :] @ planes[:, :3].T - planes[:, 3])
 
 
 def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array, "*k obstacles 3"]:

@@ -192,7 +192,7 @@ def _update_velocities(
     # Limits of speed, then avoidance, then limits of acceleration.
     rules, keep_out, heading = swarm.avoidance, swarm.keep_out, swarm.coordinate_frames.rotation
     u, most = state.velocity_command.copy(), swarm.max_acceleration * swarm.step
-    _clip_speed(u, swarm.max_speed)
+    u[:, :2] = _limit(u[:, :2], swarm.max_speed)
     u[:, 2] = np.clip(u[:, 2], -swarm.max_climb, swarm.max_climb)
     v = as_pairs(np.conj(heading) * as_complex(state.velocity))
     if rules.legacy:
@@ -207,8 +207,8 @@ def _update_velocities(
         own = u, v, others, nearby.start, keep_out, rules, swarm.max_speed, most
         avoid_all(*own, planes, state.avoiding)
         state.avoiding[wanders] = True
-        _clip_speed(u, swarm.max_speed)  # also where an agent has to separate from others
-        v = v + _limit(u[:, :2] - v, most)
+        flat = _limit(u[:, :2], swarm.max_speed)  # also where an agent has to separate from others
+        v = v + _limit(flat - v, most)
     state.velocity[:, :2] = as_pairs(heading * as_complex(v))
     most = swarm.max_climb_acceleration * swarm.step
     state.velocity[:, 2] += np.clip(u[:, 2] - state.velocity[:, 2], -most, most)
@@ -241,10 +241,6 @@ def _wander(
         state.wander_count[begins] = np.minimum(state.wander_count[begins] + 1, MAX_WANDERS)
         blocked_time[begins] = -swarm.avoidance.wander_time * state.wander_count[begins]
     return wanders
-
-
-def _clip_speed(u: Float[Array, "agents axes"], most: float) -> None:
-    u[:, :2] = _limit(u[:, :2], most)
 
 
 def _limit(vectors: Float[Array, "agents 2"], most: float) -> Float[Array, "agents 2"]:

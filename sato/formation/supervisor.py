@@ -200,10 +200,8 @@ class FlightCourse:
             if known == np.inf and self.time >= due - TIME_TOLERANCE:
                 rounds = self.hold_auction()
                 self.note("auction", [], leg=self.leg, rounds=rounds)
-                due, known = (
-                    self.time + settings.period,
-                    self.time + rounds / mission.radio.message_rate,
-                )
+                due = self.time + settings.period
+                known = self.time + rounds / mission.radio.message_rate
             if self.time >= known - TIME_TOLERANCE:
                 self.assign()
                 supervisor.mark_assigned()
