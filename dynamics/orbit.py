@@ -79,8 +79,7 @@ class Orbit:
                 f"got {tuple(map(float, elements))}"
             )
         validate_inclination(self.inclination)
-        validate_eccentricity(self.eccentricity)
-        validate_semi_major_axis(self.semi_major_axis, self.eccentricity)
+        validate_ellipse(self.semi_major_axis, self.eccentricity)
 
     @classmethod
     def from_elements(
@@ -109,8 +108,7 @@ class Orbit:
         Raises:
             ValueError: This is not an ellipse, or the perigee is inside the Earth.
         """
-        validate_eccentricity(eccentricity)
-        validate_semi_major_axis(semi_major_axis, eccentricity)
+        validate_ellipse(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
         v_x = mu / h * eccentricity * sin(true_anomaly)
@@ -167,24 +165,17 @@ class Orbit:
         return elements
 
 
-def validate_eccentricity(eccentricity: float) -> None:
-    """Check that an orbit is closed.
+def validate_ellipse(semi_major_axis: float, eccentricity: float) -> None:
+    """Check that an orbit is closed, and stays above the surface of the Earth.
 
     Raises:
-        ValueError: The eccentricity is not in [0, 1).
+        ValueError: The eccentricity is not in [0, 1), the semi-major axis is not positive, or
+            the perigee is inside the Earth.
     """
     if not 0 <= eccentricity < 1:
         raise ValueError(
             f"eccentricity: an ellipse needs 0 ≤ e < 1, got {eccentricity:.6g}; a circle has e = 0"
         )
-
-
-def validate_semi_major_axis(semi_major_axis: float, eccentricity: float) -> None:
-    """Check that an ellipse stays above the surface of the Earth.
-
-    Raises:
-        ValueError: The semi-major axis is not positive, or the perigee is inside the Earth.
-    """
     if not 0 < semi_major_axis < inf:
         raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= EARTH_RADIUS:
