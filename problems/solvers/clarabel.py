@@ -2,7 +2,6 @@
 
 import clarabel
 import numpy as np
-from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import SDP, SolverAdapter, Vector, make_result
@@ -19,49 +18,39 @@ INEXACT_STATUSES = ("AlmostSolved", "InsufficientProgress")
 
 def solve_clarabel(problem: ConicProgram) -> SolverResult:
     """Solve one program with Clarabel."""
-    return _solve(_setup(problem, _settings(DEFAULT_TOLERANCE)))
+    return ClarabelSession(problem, DEFAULT_TOLERANCE, presolve=True).solve_first()
 
 
 class ClarabelSession:
     """Program that is set up once; a result does not depend on the programs solved before."""
 
-    def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
-        settings = _settings(tolerance)
-        settings.presolve_enable = False  # it would drop rows, and b could not be updated
-        self._solver = _setup(problem, settings)
+    def __init__(self, problem: ConicProgram, tolerance: float, presolve: bool = False) -> None:
+        """Set up the program; presolve may drop rows, and b cannot be updated then."""
+        settings = clarabel.DefaultSettings()
+        settings.verbose, settings.presolve_enable = False, presolve
+        # A tenth, because its residuals are scaled in another way than those of verification.
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance / 10
+        settings.max_threads = 1
+        cones = [clarabel.ZeroConeT(problem.zero), clarabel.NonnegativeConeT(problem.nonnegative)]
+        cones += [clarabel.SecondOrderConeT(size) for size in problem.soc_sizes]
+        cones += [clarabel.PSDTriangleConeT(order) for order in problem.psd_orders]
+        P = problem.hessian if problem.P is None else problem.P
+        data = P, problem.q, problem.A, problem.b
+        self._solver = clarabel.DefaultSolver(*data, cones, settings)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
         self._solver.update(b=b)
-        return _solve(self._solver)
+        return self.solve_first()
 
-
-def _solve(solver: clarabel.DefaultSolver) -> SolverResult:
-    found = solver.solve()
-    message = str(found.status)
-    status = STATUSES.get(message, "stopped")
-    has_point = status == "solved" or message in INEXACT_STATUSES
-    x, y = np.array(found.x) if has_point else None, np.array(found.z)
-    return make_result(status, message, found.iterations, x, y)
-
-
-def _setup(problem: ConicProgram, settings: clarabel.DefaultSettings) -> clarabel.DefaultSolver:
-    n = len(problem.q)
-    cones = [clarabel.ZeroConeT(problem.zero), clarabel.NonnegativeConeT(problem.nonnegative)]
-    cones += [clarabel.SecondOrderConeT(size) for size in problem.soc_sizes]
-    cones += [clarabel.PSDTriangleConeT(order) for order in problem.psd_orders]
-    P = csc_array((n, n)) if problem.P is None else problem.P
-    return clarabel.DefaultSolver(P, problem.q, problem.A, problem.b, cones, settings)
-
-
-def _settings(tolerance: float) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    # A tenth, because its residuals are scaled in another way than those of verification.
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance / 10
-    settings.max_threads = 1
-    return settings
+    def solve_first(self) -> SolverResult:
+        """Solve the program as it was set up."""
+        found = self._solver.solve()
+        message = str(found.status)
+        status = STATUSES.get(message, "stopped")
+        has_point = status == "solved" or message in INEXACT_STATUSES
+        x, y = np.array(found.x) if has_point else None, np.array(found.z)
+        return make_result(status, message, found.iterations, x, y)
 
 
 ADAPTERS = (SolverAdapter("clarabel", SDP, True, ClarabelSession),)
