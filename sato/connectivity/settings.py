@@ -1,11 +1,11 @@
 """Settings of a connectivity mission: action, repulsion, tracking, limits, messages, gains."""
 
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from annotated_types import Lt
 
 from dynamics.units import AngularRate, Key, Length, Speed, Time
-from sato.scenario.definition import NotNegative, Positive
+from sato.scenario.definition import LATER, NotNegative, Positive
 
 MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
 MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
@@ -70,10 +70,7 @@ class CommunicationLink(NamedTuple):
     ] = 0.0
 
 
-if TYPE_CHECKING:
-    Gain = Any  # a number once the mission is complete
-else:
-    Gain = Annotated[float | None, Positive]
+Gain = Annotated[float, Positive]
 
 
 class PowerIterationGains(NamedTuple):
@@ -82,12 +79,12 @@ class PowerIterationGains(NamedTuple):
     exchange_period: Annotated[
         Time, Key("exchange"), Positive, "time h between two exchanges with all neighbors"
     ] = 0.002
-    deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = None
-    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws to the eigenvector [1/s]"] = None
-    normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = None
-    filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = None
-    proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = None
-    integral_gain: Annotated[Gain, Key("settle"), "K_I of the consensus [1/s]"] = None
+    deflation_gain: Annotated[Gain, Key("deflate"), "e₁, removes the mean [1/s]"] = LATER
+    iteration_gain: Annotated[Gain, Key("iterate"), "e₂, draws to the eigenvector [1/s]"] = LATER
+    normalization_gain: Annotated[Gain, Key("normalize"), "e₃, keeps the size [1/s]"] = LATER
+    filter_gain: Annotated[Gain, Key("follow"), "g, input filter of the consensus [1/s]"] = LATER
+    proportional_gain: Annotated[Gain, Key("agree"), "K_P of the consensus [1/s]"] = LATER
+    integral_gain: Annotated[Gain, Key("settle"), "K_I of the consensus [1/s]"] = LATER
 
 
 def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGains:
