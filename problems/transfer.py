@@ -118,10 +118,7 @@ class TransferProblem:
 
     def slow_down(self, factor: float) -> "TransferProblem":
         """Return the problem with the speed limit times a factor."""
-        if factor == 1:
-            return self
-        slower = np.asarray(self.max_speed) * factor
-        return replace(self, max_speed=slower if slower.ndim else float(slower))
+        return self if factor == 1 else replace(self, max_speed=np.multiply(self.max_speed, factor))
 
     def speed_excess(self, trajectory: "Trajectory") -> float:
         """Compute the largest speed between the ends, over its limit, minus 1."""

@@ -60,15 +60,13 @@ class StepParameters(NamedTuple):
     @classmethod
     def for_leg(cls, mission: Formation, leg: int) -> "StepParameters":
         """Collect the constants of a leg of a drawn mission."""
-        radio = mission.radio
+        radio, noise = mission.radio, mission.frames.noise
         same = {name: getattr(mission, name) for name in cls._fields[1:10]}
         return cls(
             FormationData.from_gains(mission.gains[leg]),
             **same,
-            noise=mission.frames.noise,
-            track_gains=compute_track_gains(
-                mission.frames.noise, mission.max_acceleration, mission.step
-            ),
+            noise=noise,
+            track_gains=compute_track_gains(noise, mission.max_acceleration, mission.step),
             steps_per_message=max(1, round(1 / (radio.message_rate * mission.step))),
             message_delay=radio.delay_rounds,
             message_loss=radio.loss_probability,

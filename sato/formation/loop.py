@@ -79,15 +79,13 @@ class _Simulation(FlightCourse):
         self.neighbors = self.roles.find_neighbors(self.parameters)
 
     def advance(self) -> tuple[Array, Array]:
-        roles, steps = self.roles, self.mission.steps_per_frame
+        state, roles, steps = self.state, self.roles, self.mission.steps_per_frame
         for command in self.mission.operator_commands:
             if command.start <= self.time < command.end:
                 velocity = np.array(command.velocity)
                 roles = roles._replace(commanded_agent=command.agent, operator_velocity=velocity)
         first = self.instant * steps
-        swarm = self.neighbors, self.parameters
-        simulate_steps(self.state, roles, *swarm, first, steps, self.rng)
-        state = self.state
+        simulate_steps(state, roles, self.neighbors, self.parameters, first, steps, self.rng)
         return state.velocity_command, find_blocked(self.mission, state.velocity, state.avoiding)
 
     def frames(self) -> Iterator[FormationFrame]:

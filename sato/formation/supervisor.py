@@ -175,10 +175,6 @@ class FlightCourse:
         """Note an event of the next instant."""
         self._events.append({"kind": kind, **details, "agents": list(agents)})
 
-    def _take_events(self) -> tuple[dict[str, Any], ...]:
-        events, self._events = tuple(self._events), []
-        return events
-
     def _hover(self) -> Iterator[tuple[dict[str, Any], ...]]:
         # Agents that have taken up a formation go on holding it.
         for _ in range(round(self.mission.supervision.hover_time / self.mission.frame_period)):
@@ -219,4 +215,5 @@ class FlightCourse:
             if is_over:
                 kind = "leg_end" if self.phase is Phase.COMPLETED else "given_up"
                 self.note(kind, [], leg=self.leg)
-            yield self._take_events()
+            events, self._events = tuple(self._events), []
+            yield events
