@@ -100,18 +100,19 @@ def make_result(
     iterations: int | None,
     x: Float[Array, " n"] | None,
     y: Float[Array, " m"] | None,
+    ray: Float[Array, " m"] | None = None,
 ) -> SolverResult:
     """Make the result of a solve: a point and its duals, or the ray of an infeasible program.
 
     Arrays are copied, because libraries write to theirs again. A point that is not finite is
-    left out.
+    left out. Libraries that certify infeasibility give a ray too, some in place of y.
     """
-    duals = None if y is None else np.array(y)
     if status == "infeasible":
-        return SolverResult(status, message, None, duals, iterations)
-    if x is None or not np.isfinite(x).all():
-        return SolverResult(status, message, None, None, iterations)
-    return SolverResult(status, message, np.array(x), duals, iterations)
+        x, y = None, ray
+    elif x is None or not np.isfinite(x).all():
+        x = y = None
+    x, y = (None if part is None else np.array(part) for part in (x, y))
+    return SolverResult(status, message, x, y, iterations)
 
 
 def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array, " m"]:

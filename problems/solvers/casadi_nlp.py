@@ -55,9 +55,8 @@ class CasadiNlpSession:
         found = self._solver(p=b, lbg=0, ubg=self._upper)
         stats = self._solver.stats()
         message: str = stats["return_status"]
-        status = STATUSES.get(message, "stopped")
-        y = None if status == "infeasible" else found["lam_p"].full().ravel()
-        return make_result(status, message, stats["iter_count"], found["x"].full().ravel(), y)
+        x, y = found["x"].full().ravel(), found["lam_p"].full().ravel()
+        return make_result(STATUSES.get(message, "stopped"), message, stats["iter_count"], x, y)
 
 
 ADAPTERS = (SolverAdapter("casadi-ipopt", SOCP, False, CasadiNlpSession, "casadi"),)

@@ -50,7 +50,7 @@ class ClarabelSession:
         status = STATUSES.get(message, "stopped")
         has_point = status == "solved" or message in INEXACT_STATUSES
         x, y = np.array(found.x) if has_point else None, np.array(found.z)
-        return make_result(status, message, found.iterations, x, y)
+        return make_result(status, message, found.iterations, x, y, y)
 
 
 ADAPTERS = (SolverAdapter("clarabel", SDP, True, ClarabelSession),)

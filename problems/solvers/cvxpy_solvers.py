@@ -58,7 +58,7 @@ class CvxpySession:
         duals = [constraint.dual_value for constraint in self._constraints]
         y = None if any(dual is None for dual in duals) else _stack_duals(duals)
         status = STATUSES.get(message, "stopped")
-        return make_result(status, message, iterations, self._x.value, y)
+        return make_result(status, message, iterations, self._x.value, y, y)
 
 
 def _constraints(cp: Any, problem: ConicProgram, b: Any, x: Any) -> list[Any]:

@@ -35,8 +35,7 @@ class DaqpSession:
         self._solver.update(bupper=b, blower=lower_bounds(b, self._zero, INFINITY))
         x, _, flag, info = self._solver.solve()
         status = STATUSES.get(flag, "stopped")
-        y = None if status == "infeasible" else info["lam"]
-        return make_result(status, f"exit flag {flag}", info["iterations"], x, y)
+        return make_result(status, f"exit flag {flag}", info["iterations"], x, info["lam"])
 
 
 ADAPTERS = (SolverAdapter("daqp", LP, False, DaqpSession),)

@@ -32,8 +32,7 @@ class EcosSession:
         found = self._solve(self._q, *inequalities, **equations, **self._options)
         message, iterations = found["info"]["infostring"], found["info"]["iter"]
         y = np.concatenate([found["y"] if self._zero else np.zeros(0), found["z"]])
-        status = STATUSES.get(message, "stopped")
-        return make_result(status, message, iterations, found["x"], y)
+        return make_result(STATUSES.get(message, "stopped"), message, iterations, found["x"], y, y)
 
 
 ADAPTERS = (SolverAdapter("ecos", SOCP, True, EcosSession, takes_quadratic_cost=False),)

@@ -54,7 +54,7 @@ class HighsSession:
         message = self._solver.modelStatusToString(code)
         iterations = self._solver.getInfo().simplex_iteration_count
         if status == "infeasible":
-            return make_result(status, message, iterations, None, self._ray())
+            return make_result(status, message, iterations, None, None, self._ray())
         point = self._solver.getSolution()
         x = np.array(point.col_value) if status == "solved" else None
         return make_result(status, message, iterations, x, -np.array(point.row_dual))

@@ -37,9 +37,8 @@ class OsqpSession:
         self._solver.update(l=lower_bounds(b, self._zero), u=b)
         found = self._solver.solve(raise_error=False)
         message = found.info.status
-        status = STATUSES.get(message, "stopped")
-        y = found.prim_inf_cert if status == "infeasible" else found.y
-        return make_result(status, message, found.info.iter, found.x, y)
+        status, ray = STATUSES.get(message, "stopped"), found.prim_inf_cert
+        return make_result(status, message, found.info.iter, found.x, found.y, ray)
 
 
 ADAPTERS = (SolverAdapter("osqp", LP, True, OsqpSession),)

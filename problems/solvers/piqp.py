@@ -30,7 +30,7 @@ class PiqpSession:
         self._solver.update(b=b[: self._zero], h_u=b[self._zero :])
         message, found = self._solver.solve().name, self._solver.result
         status, y = STATUSES.get(message, "stopped"), np.concatenate([found.y, found.z_u])
-        return make_result(status, message, found.info.iter, found.x, y)
+        return make_result(status, message, found.info.iter, found.x, y, y)
 
 
 ADAPTERS = (SolverAdapter("piqp", LP, True, PiqpSession),)

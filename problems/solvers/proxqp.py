@@ -40,8 +40,7 @@ class ProxqpSession:
         self._solver.solve()
         found = self._solver.results
         message: str = found.info.status.name
-        status = STATUSES.get(message, "stopped")
-        y = None if status == "infeasible" else np.concatenate([found.y, found.z])
+        status, y = STATUSES.get(message, "stopped"), np.concatenate([found.y, found.z])
         return make_result(status, message, found.info.iter, found.x, y)
 
 

@@ -37,9 +37,8 @@ class QpalmSession:
         self._solver.update_bounds(lower_bounds(b, self._zero, INFINITY), b)
         self._solver.solve()
         info, point = self._solver.info, self._solver.solution
-        status = STATUSES.get(info.status, "stopped")
-        y = self._solver.prim_inf_certificate if status == "infeasible" else point.y
-        return make_result(status, info.status, info.iter, point.x, y)
+        status, ray = STATUSES.get(info.status, "stopped"), self._solver.prim_inf_certificate
+        return make_result(status, info.status, info.iter, point.x, point.y, ray)
 
 
 ADAPTERS = (SolverAdapter("qpalm", LP, True, QpalmSession),)

@@ -38,8 +38,7 @@ class ScsSession:
         message, iterations = found["info"]["status"], found["info"]["iter"]
         y = np.empty(len(b))
         y[self._order] = found["y"]
-        status = STATUSES.get(message, "stopped")
-        return make_result(status, message, iterations, found["x"], y)
+        return make_result(STATUSES.get(message, "stopped"), message, iterations, found["x"], y, y)
 
 
 def _row_order(problem: ConicProgram) -> Int[Array, " m"]:
