@@ -44,7 +44,13 @@ class GainMatrix:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""
         validate_gains(self.formation, "xy", self.xy)
         validate_gains(self.formation, "z", self.z)
-        _validate_mean(self)
+        size = max(float(np.abs(A).max()) for A in (self.xy, self.z))
+        xy, z = (GainProblem.from_formation(self.formation, axes).m for axes in get_args(Axes))
+        mean = (2 * self.xy.trace().real + self.z.trace()) / (2 * xy + z)
+        if not abs(mean + 1) <= RESIDUAL_TOLERANCE * max(1.0, size):
+            fault = f"do not have eigenvalues of −1 in the mean, but of {mean:.6g}"
+            text = f"the gains for z and xy do not belong to this formation: they {fault}"
+            raise ValueError(text)
         validate_rate("xy", self.rate_xy, self.bound_xy)
         validate_rate("z", self.rate_z, self.bound_z)
 
@@ -225,12 +231,3 @@ def validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
     ):
         if residual > RESIDUAL_TOLERANCE * max(1.0, size):
             raise ValueError(f"the gains for {axes} do not belong to this formation: they {fault}")
-
-
-def _validate_mean(gains: GainMatrix) -> None:
-    xy, z = (GainProblem.from_formation(gains.formation, axes).m for axes in get_args(Axes))
-    mean = (2 * gains.xy.trace().real + gains.z.trace()) / (2 * xy + z)
-    size = max(float(np.abs(A).max()) for A in (gains.xy, gains.z))
-    if not abs(mean + 1) <= RESIDUAL_TOLERANCE * max(1.0, size):
-        fault = f"do not have eigenvalues of −1 in the mean, but of {mean:.6g}"
-        raise ValueError(f"the gains for z and xy do not belong to this formation: they {fault}")
