@@ -146,12 +146,10 @@ class SymbolicModel(NonlinearModel):
     def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
         # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
-        count = int(np.prod(lead))
-        columns = [np.broadcast_to(t, lead).reshape(1, count)]
-        for values in (x, u):
+        count, columns, found = int(np.prod(lead)), [], []
+        for values in (np.asarray(t)[..., None], x, u):
             n = values.shape[-1]
             columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
-        found = []
         for result in function.map(count).call(list(map(to_casadi, columns))):
             matrix = to_array(result)
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
