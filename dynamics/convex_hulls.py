@@ -19,10 +19,10 @@ TINY = 1e-150  # length of a normal that counts as zero
 FEW = 100  # hulls, of which all normals are tried at once: of more, first those to corners
 MAX_HULLS = 4096  # that are compared at once, which stay in the cache of a core
 
+Hulls = Float[Array, "hulls k d"]  # corners of each hull
 
-def min_norm_points(
-    points: Float[Array, "hulls k d"],
-) -> tuple[Float[Array, " hulls"], Float[Array, "hulls d"]]:
+
+def min_norm_points(points: Hulls) -> tuple[Float[Array, " hulls"], Float[Array, "hulls d"]]:
     """Return the distance of each hull from the origin, and its nearest point.
 
     The distance is 0 where the origin is inside, or where a point is not finite.
@@ -35,7 +35,7 @@ def min_norm_points(
     return distance, nearest
 
 
-def _best_normals(b: Float[Array, "hulls k d"]) -> tuple[Array, Array]:
+def _best_normals(b: Hulls) -> tuple[Array, Array]:
     """Return the distances and unit normals; zero where the origin is inside."""
     square = np.einsum("qkd,qkd->qk", b, b)
     distance, normal = np.zeros(len(b)), np.zeros((len(b), b.shape[2]))
@@ -52,9 +52,7 @@ def _best_normals(b: Float[Array, "hulls k d"]) -> tuple[Array, Array]:
     return np.where(is_outside, distance, 0.0), np.where(is_outside[:, None], normal, 0.0)
 
 
-def _support(
-    b: Float[Array, "hulls k d"], normals: Float[Array, "hulls c d"]
-) -> tuple[Array, Array]:
+def _support(b: Hulls, normals: Float[Array, "hulls c d"]) -> tuple[Array, Array]:
     """Return the largest of the distances that normals show, on either side, and its normal."""
     size = np.sqrt(np.einsum("qcd,qcd->qc", normals, normals))
     unit = normals / np.maximum(size, TINY)[..., None]
@@ -66,7 +64,7 @@ def _support(
     return value[each, best], sense[:, None] * unit[each, best]
 
 
-def _normals_to(b: Float[Array, "hulls k d"], order: int) -> Float[Array, "hulls c d"]:
+def _normals_to(b: Hulls, order: int) -> Float[Array, "hulls c d"]:
     """Return what is orthogonal to each edge or face, towards or away from the origin."""
     first, *others = np.array(list(combinations(range(b.shape[1]), order))).T
     base, (edge, *second) = b[:, first], [b[:, other] - b[:, first] for other in others]
@@ -82,7 +80,7 @@ def _normals_to(b: Float[Array, "hulls k d"], order: int) -> Float[Array, "hulls
 
 
 def are_outside(
-    points: Float[Array, "hulls k d"], radius: Float[Array, " hulls"], is_exact: bool
+    points: Hulls, radius: Float[Array, " hulls"], is_exact: bool
 ) -> Bool[Array, " hulls"]:
     """Return True where a hull, or else a ball about it, is outside a circle about the origin.
 
@@ -102,7 +100,7 @@ def are_outside(
 
 
 def body_distances(
-    points: Float[Array, "hulls k d"],
+    points: Hulls,
     corners: Float[Array, "bodies corners d"],
     body: Int[Array, " hulls"],
 ) -> tuple[Float[Array, " hulls"], Float[Array, "hulls d"]]:
@@ -130,9 +128,7 @@ def body_distances(
     return distance, vector
 
 
-def _distances_by_supports(
-    b: Float[Array, "hulls k d"], c: Float[Array, "hulls corners d"]
-) -> tuple[Array, Array]:
+def _distances_by_supports(b: Hulls, c: Float[Array, "hulls corners d"]) -> tuple[Array, Array]:
     """Return distances and vectors by the algorithm of [Gilbert1988].
 
     Differences b − c that support the best normal so far join the d + 1 that are kept, in place of

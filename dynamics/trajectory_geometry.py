@@ -286,14 +286,12 @@ def _midpoint_error(position: Array, velocity: Array, h: float) -> float:
 
 
 _Pairs = Iterator[tuple[Array, Array, Array]]  # piece, and both agents
+Pieces = Float[Array, "pieces agents 4 d"]  # control points
+Radii = Float[Array, " agents"]
+Present = Bool[Array, "pieces agents"]
 
 
-def _list_pairs_of_few(
-    b: Float[Array, "pieces agents 4 d"],
-    radii: Float[Array, " agents"],
-    present: Bool[Array, "pieces agents"],
-    is_lost: Bool[Array, "pieces agents"],
-) -> _Pairs:
+def _list_pairs_of_few(b: Pieces, radii: Radii, present: Present, is_lost: Present) -> _Pairs:
     """List the pairs that `_near_pairs` lists, for many pieces at once."""
     i, j = np.triu_indices(b.shape[1], 1)
     kept = (radii[i] + radii[j]) / 2
@@ -313,12 +311,7 @@ def _list_pairs_of_few(
         yield first + piece, i[pair], j[pair]
 
 
-def _list_pairs_by_trees(
-    b: Float[Array, "pieces agents 4 d"],
-    radii: Float[Array, " agents"],
-    present: Bool[Array, "pieces agents"],
-    is_lost: Bool[Array, "pieces agents"],
-) -> _Pairs:
+def _list_pairs_by_trees(b: Pieces, radii: Radii, present: Present, is_lost: Present) -> _Pairs:
     pairs, count = list[Array](), 0
     for k, those in enumerate(map(np.flatnonzero, present)):
         near = those[_near_pairs(b[k, those], radii[those], is_lost[k, those])]

@@ -12,6 +12,7 @@ from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Pos
 from sato.scenario.errors import InputError
 
 MAX_TURN = 1.0  # between two drawn legs [rad]
+Vector3 = Float[Array, " 3"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +38,7 @@ class WaypointStick(Definition):
         if self.waypoints is not None:
             _check_rows(self.waypoints, "waypoints_m")
 
-    def draw(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> "WaypointStick":
+    def draw(self, leader: Vector3, rng: np.random.Generator) -> "WaypointStick":
         """Return the stick with waypoints; drawn ones are level with the leader's start."""
         if self.waypoints is not None:
             return self
@@ -46,9 +47,7 @@ class WaypointStick(Definition):
         legs = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(self.count)])
         return replace(self, waypoints=leader + self.spacing * np.cumsum(legs, axis=0))
 
-    def command_velocity(
-        self, time: float, position: Float[Array, " 3"], waypoints_reached: int
-    ) -> Float[Array, " 3"]:
+    def command_velocity(self, time: float, position: Vector3, waypoints_reached: int) -> Vector3:
         """Compute the commanded velocity in the world frame [m/s].
 
         Args:
@@ -63,7 +62,7 @@ class WaypointStick(Definition):
         far = max(np.linalg.norm(gap), self.speed * self.time_constant)
         return np.asarray(gap * self.speed / far)
 
-    def has_arrived(self, position: Float[Array, " 3"], waypoints_reached: int) -> bool:
+    def has_arrived(self, position: Vector3, waypoints_reached: int) -> bool:
         """Tell whether the leader is at its next waypoint."""
         if waypoints_reached >= len(self.waypoints):
             return False
@@ -95,7 +94,7 @@ class RecordedStick(Definition):
         if not (np.diff(self.times) > 0).all():
             raise InputError("times_s", "must increase from one to the next")
 
-    def draw(self, leader: Float[Array, " 3"], rng: np.random.Generator) -> "RecordedStick":
+    def draw(self, leader: Vector3, rng: np.random.Generator) -> "RecordedStick":
         """Return the stick with the contents of its file."""
         return self.without_file()
 
@@ -125,14 +124,12 @@ class RecordedStick(Definition):
         """Largest commanded speed [m/s]."""
         return float(np.linalg.norm(self.velocities, axis=1).max())
 
-    def command_velocity(
-        self, time: float, position: Float[Array, " 3"], waypoints_reached: int
-    ) -> Float[Array, " 3"]:
+    def command_velocity(self, time: float, position: Vector3, waypoints_reached: int) -> Vector3:
         """Return the recorded velocity, in the world frame [m/s]."""
         k = int(np.searchsorted(self.times, time, side="right")) - 1
         return self.velocities[k].copy() if k >= 0 else np.zeros(3)
 
-    def has_arrived(self, position: Float[Array, " 3"], waypoints_reached: int) -> bool:
+    def has_arrived(self, position: Vector3, waypoints_reached: int) -> bool:
         """Return False: there are no waypoints."""
         return False
 
