@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 from sato.formation.avoidance import SPEED_SIDES, avoid_all
 from sato.formation.control_law import FormationData, compute_velocity_commands
@@ -144,7 +145,7 @@ def simulate_steps(
     swarm: StepParameters,
     first: int,
     steps: int,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Simulate some control steps.
 
@@ -184,9 +185,7 @@ def _command(
         state.blocked_time[roles.commanded_agent] = 0.0  # it does not wander
 
 
-def _update_velocities(
-    state: FormationState, swarm: StepParameters, rng: np.random.Generator
-) -> None:
+def _update_velocities(state: FormationState, swarm: StepParameters, rng: Generator) -> None:
     # Limits of speed, then avoidance, then limits of acceleration.
     rules, keep_out, heading = swarm.avoidance, swarm.keep_out, swarm.coordinate_frames.rotation
     u, most = state.velocity_command.copy(), swarm.max_acceleration * swarm.step
@@ -213,10 +212,7 @@ def _update_velocities(
 
 
 def _wander(
-    u: Float[Array, "agents 3"],
-    state: FormationState,
-    swarm: StepParameters,
-    rng: np.random.Generator,
+    u: Float[Array, "agents 3"], state: FormationState, swarm: StepParameters, rng: Generator
 ) -> Bool[Array, " agents"]:
     """Return the agents that wander, after their commands were replaced.
 

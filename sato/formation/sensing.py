@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 from numpy import ndarray as Array
+from numpy.random import Generator
 
 if TYPE_CHECKING:
     from sato.formation.control_step import FormationState, StepParameters
@@ -77,9 +78,7 @@ def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple
     return 1 - root**2, min(1.0, 2 * (1 + root**2) - 4 * root)
 
 
-def measure_own_positions(
-    state: "FormationState", swarm: "StepParameters", rng: np.random.Generator
-) -> None:
+def measure_own_positions(state: "FormationState", swarm: "StepParameters", rng: Generator) -> None:
     """Measure each agent's position in its own frame, with odometry drift and noise."""
     frames, measured = swarm.coordinate_frames, state.measured_position
     offset = state.position - frames.origin
@@ -95,7 +94,7 @@ def exchange_positions(
     neighbors: Neighbors,
     swarm: "StepParameters",
     message: int,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Send each agent's position to the agents that hold the neighboring points."""
     ring = len(state.sent)
@@ -132,9 +131,7 @@ class Nearby(NamedTuple):
     measured: Float[Array, "pairs 2"]  # position of j relative to i, in the frame of i [m]
 
 
-def sense_nearby(
-    state: "FormationState", swarm: "StepParameters", rng: np.random.Generator
-) -> Nearby:
+def sense_nearby(state: "FormationState", swarm: "StepParameters", rng: Generator) -> Nearby:
     """Measure those within range of each agent, in its own frame; odometry does not matter here."""
     flat = as_complex(state.position)
     apart = flat - flat[:, None]

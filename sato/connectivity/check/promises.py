@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.random import Generator
 
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import laplacian
@@ -25,9 +26,7 @@ TOLERANCE = 1e-9  # rounding of weights, eigenvalues, cosines and speeds
 NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ is beyond
 
 
-def check_run(
-    data: RunData, mission: Connectivity, rng: np.random.Generator | None = None
-) -> Report:
+def check_run(data: RunData, mission: Connectivity, rng: Generator | None = None) -> Report:
     """Check the data of a run against a drawn mission; noise and losses by their effects."""
     record = ConnectivityRecord.from_data(data, mission)
     frames = record.frames
