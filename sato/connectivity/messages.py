@@ -39,12 +39,8 @@ def exchange_messages(
     if number % link.period_steps != 0:
         return known
     twist = np.column_stack([measurements.velocity, measurements.yaw_rate])
-    on_their_way.append(
-        Message(
-            twist, measurements.relative_position, estimates.relative_yaw, estimates.is_mutual,
-            estimates.adjacency,
-        )
-    )  # fmt: skip
+    estimated = estimates.relative_yaw, estimates.is_mutual, estimates.adjacency
+    on_their_way.append(Message(twist, measurements.relative_position, *estimated))
     if len(on_their_way) <= link.delay_messages:
         return known
     message = on_their_way.popleft()

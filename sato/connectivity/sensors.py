@@ -73,17 +73,15 @@ def measure(
         rng: Draws the noise of the cameras.
     """
     sees = views.view_cosine > mission.assumed_camera.a_min
-    relative_position = np.where(sees[..., None], views.relative_position, np.nan)
+    p = np.where(sees[..., None], views.relative_position, np.nan)
     if mission.camera_noise > 0:
         # Drawn pair by pair: for i what j < i sees of it comes after what it sees of j.
         low, high = np.tril_indices(len(alive), -1)
         i, j = np.stack([low, high], axis=1).ravel(), np.stack([high, low], axis=1).ravel()
         i, j = i[sees[i, j]], j[sees[i, j]]
-        relative_position[i, j] += mission.camera_noise * rng.standard_normal((len(i), 3))
-    return Measurements(
-        vehicles.velocity, vehicles.yaw_rate, relative_position, before.relative_position,
-        _measure_ranges(vehicles, alive, mission),
-    )  # fmt: skip
+        p[i, j] += mission.camera_noise * rng.standard_normal((len(i), 3))
+    near = _measure_ranges(vehicles, alive, mission)
+    return Measurements(vehicles.velocity, vehicles.yaw_rate, p, before.relative_position, near)
 
 
 def _measure_ranges(

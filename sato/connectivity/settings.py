@@ -90,10 +90,7 @@ class PowerIterationGains(NamedTuple):
 def complete_gains(given: PowerIterationGains, agents: int) -> PowerIterationGains:
     """Replace gains that are None by ones that suit the period and the number of agents."""
     h = given.exchange_period
-    suited = PowerIterationGains(
-        h, 0.05 / h, 0.006 * 6 / (agents * h), 0.05 / h, 0.2 / h, 1.7 / (agents * h),
-        1.2 / (agents * h),
-    )  # fmt: skip
-    return PowerIterationGains(
-        *(new if old is None else old for old, new in zip(given, suited, strict=True))
-    )
+    n = agents * h
+    suited = PowerIterationGains(h, 0.05 / h, 0.006 * 6 / n, 0.05 / h, 0.2 / h, 1.7 / n, 1.2 / n)
+    chosen = {name: gain for name, gain in given._asdict().items() if gain is not None}
+    return suited._replace(**chosen)

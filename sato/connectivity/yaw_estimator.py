@@ -42,10 +42,8 @@ def estimate_relative_yaw(
     # ψ̃_ij by the estimate of j, a step older than its message, and the turns of both since.
     from_message = wrap_angle((age + dt) * rate - inbox.relative_yaw[i, j, i])
     before = estimates.velocity_observer[i, j]
-    observer = update_velocity_observer(
-        p, measurements.previous_relative_position[i, j], measurements.velocity[i], own_rate,
-        twist, before, tracking, dt,
-    )  # fmt: skip
+    previous_p, v = measurements.previous_relative_position[i, j], measurements.velocity[i]
+    observer = update_velocity_observer(p, previous_p, v, own_rate, twist, before, tracking, dt)
     observer = np.where((sees & has_message)[:, None], observer, before)
     from_motion, trust = yaw_from_motion(observer, twist, tracking)
     mutual = np.where(is_seen, _view_weight(np.stack([p, p_back]), camera).prod(axis=0), 0.0)
