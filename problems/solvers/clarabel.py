@@ -35,8 +35,7 @@ class ClarabelSession:
         cones += [clarabel.SecondOrderConeT(size) for size in problem.soc_sizes]
         cones += [clarabel.PSDTriangleConeT(order) for order in problem.psd_orders]
         P = problem.hessian if problem.P is None else problem.P
-        data = P, problem.q, problem.A, problem.b
-        self._solver = clarabel.DefaultSolver(*data, cones, settings)
+        self._solver = clarabel.DefaultSolver(P, problem.q, problem.A, problem.b, cones, settings)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""

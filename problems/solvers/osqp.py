@@ -25,12 +25,11 @@ class OsqpSession:
 
         self._zero = problem.zero
         self._solver: Any = osqp.OSQP()
-        A, lower = csc_matrix(problem.A), lower_bounds(problem.b, self._zero)
+        P, A = csc_matrix(triu(problem.hessian)), csc_matrix(problem.A)
         options: dict[str, Any] = {"max_iter": MAX_ITERATIONS, "polishing": True, "verbose": False}
         options |= dict.fromkeys(TOLERANCES, tolerance / 10)
-        self._solver.setup(
-            csc_matrix(triu(problem.hessian)), problem.q, A, lower, problem.b, **options
-        )
+        lower = lower_bounds(problem.b, self._zero)
+        self._solver.setup(P, problem.q, A, lower, problem.b, **options)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side, from the last solution."""

@@ -117,8 +117,7 @@ def _certify(adapter: SolverAdapter, problem: ConicProgram, found: Verification)
     relaxed = relax_cones(problem)
     if adapter.refusal(relaxed):
         return found
-    make = adapter.session_factory
-    result = _ask(lambda: make(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
+    result = _ask(lambda: adapter.session_factory(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
     if result.y is None:
         return found
     ray, objection = verify_ray(problem, read_ray(problem, result.y))
