@@ -94,9 +94,8 @@ class LVLH:
         """Convert inertial states minus that of the chief to LVLH states."""
         omega = self._add_agent_axes(self.omega, offset, 1)
         axes = self._add_agent_axes(self.axes, offset, 2)
-        position, velocity = (
-            np.einsum("...ab,...b->...a", axes, part) for part in (offset[..., :3], offset[..., 3:])
-        )
+        parts = offset[..., :3], offset[..., 3:]
+        position, velocity = (np.einsum("...ab,...b->...a", axes, part) for part in parts)
         return np.concatenate([position, velocity - _cross_omega(omega, position)], axis=-1)
 
     def _add_agent_axes(self, part: Array, x: Array, own: int) -> Array:

@@ -190,10 +190,7 @@ class TransferProblem:
             )
 
     def solve(
-        self,
-        start: Float[Array, " n"],
-        target: Float[Array, " n"],
-        solver: Solver = solve_program,
+        self, start: Float[Array, " n"], target: Float[Array, " n"], solver: Solver = solve_program
     ) -> Trajectory:
         """Solve with CVXPY, which is compiled once.
 

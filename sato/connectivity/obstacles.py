@@ -148,9 +148,8 @@ def _plane_distances(at: Points, planes: Float[Array, "planes 4"]) -> Float[Arra
 
 def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array, "*k obstacles 3"]:
     """Find the nearest point of the surface of each sphere, box and plane [m]."""
-    kinds = zip(
-        obstacles, (_nearest_of_spheres, _nearest_of_boxes, _nearest_of_planes), strict=True
-    )
+    finders = _nearest_of_spheres, _nearest_of_boxes, _nearest_of_planes
+    kinds = zip(obstacles, finders, strict=True)
     found = [find(p[..., None, :], rows) for rows, find in kinds if len(rows)]
     return np.concatenate(found, axis=-2) if found else np.empty((*p.shape[:-1], 0, 3))
 

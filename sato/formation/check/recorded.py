@@ -51,8 +51,7 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         """Course that the flight had to take by the recorded commands and avoidance."""
         course = _RecordedCourse(self)
         instants, leg = course.instants(), np.full(len(self.time), -1)
-        phase: list[Phase] = []
-        noted: list[tuple[int, str, int]] = []
+        phase, noted = list[Phase](), list[tuple[int, str, int]]()
         for k, events in enumerate(islice(instants, len(self.time))):
             leg[k] = course.leg
             phase.append(course.phase)
