@@ -105,7 +105,7 @@ def make_result(
     """Make the result of a solve: a point and its duals, or the ray of an infeasible program.
 
     Arrays are copied, because libraries write to theirs again. A point that is not finite is
-    left out. Libraries that certify infeasibility give a ray too, some in place of y.
+    left out. Of an infeasible program only the ray counts, which many libraries return as y.
     """
     if status == "infeasible":
         x, y = None, ray
