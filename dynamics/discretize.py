@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
-FEW_STATES = 256  # linearized together, so that they stay in the processor's cache
+LINEARIZATION_BATCH = 256  # states, so few that they stay in the processor's cache
 BLOCK_STEPS = 16  # that are integrated at once
 ON_GRID = 1e-10  # of a step, within which it begins at a multiple of its length
 SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
@@ -81,6 +81,8 @@ class DiscreteModel:
     def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
+        if A.ndim > 3:
+            u = np.broadcast_to(u, (*A.shape[1:-2], *u.shape[-2:]))
         u, states = np.moveaxis(u, -2, 0), [x]
         if A.ndim > 3:
             states = [np.broadcast_to(x, z.shape[1:])]
@@ -154,7 +156,7 @@ def linearize_along(
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
     _validate_steps(dt, T)
-    few = max(1, FEW_STATES // max(1, T))
+    few = max(1, LINEARIZATION_BATCH // max(1, T))
     if u.ndim > 2 and len(u) > few:
         parts = [slice(a, a + few) for a in range(0, len(u), few)]
         each = [linearize_along(model, x[part], u[part], dt, t0) for part in parts]

@@ -111,7 +111,7 @@ def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
     rho3 = rho2 * np.sqrt(rho2)
     share = orbit.k_J2 / (rho2 * rho3)
     eta2 = orbit.mu / rho3 + share * (1 - 5 * Z * Z / rho2)
-    return np.asarray(-eta2[..., None] * R - (2 * share * Z)[..., None] * pole)
+    return np.asarray(-eta2 * R - 2 * share * Z * pole)
 
 
 def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Numbers[Array, "... 3 3"]:
@@ -123,10 +123,9 @@ def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Numbers[Array, 
     along = (3 * orbit.mu / rho3 + 5 * share * (1 - 7 * q)) / rho2
     across = 10 * share * Z / rho2
     # −η² I + R aᵀ + s bᵀ
-    a = along[..., None] * R + across[..., None] * pole
-    b = across[..., None] * R - (2 * share)[..., None] * pole
+    a, b = along * R + across * pole, across * R - 2 * share * pole
     gradient = R[..., :, None] * a[..., None, :] + pole[..., :, None] * b[..., None, :]
-    return np.asarray(gradient - eta2[..., None, None] * np.eye(3))
+    return np.asarray(gradient - eta2[..., None] * np.eye(3))
 
 
 def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vectors:
@@ -194,9 +193,10 @@ def _cross_matrix(a: Scalars, c: Scalars) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    if a.dtype == object or b.dtype == object:  # symbols
-        return np.asarray((a * b).sum(axis=-1))
-    return np.asarray(np.vecdot(a, b))
+    """Return a·b along the last axis, which is kept."""
+    if a.dtype == b.dtype == float:
+        return np.asarray(np.vecdot(a, b))[..., None]
+    return np.asarray((a * b).sum(axis=-1, keepdims=True))  # of symbols, or complex
 
 
 def _matvec(matrix: Array, vector: Array) -> Array:

@@ -26,8 +26,8 @@ from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.orbit import Scalars
 
 MAX_PAIRS = 50_000  # of agents in pieces, that are compared at once
-FEW_AGENTS = 24  # up to which pairs of all instants are compared at once
-FEW_POINTS = 200  # up to which all pairs are measured sooner than a tree is built
+ALL_PAIRS_AGENTS = 24  # up to which pairs of all instants are compared at once
+ALL_PAIRS_POINTS = 200  # up to which all pairs are measured sooner than a tree is built
 
 Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
 Samples = Float[Array, "*agents instants d"]  # positions or velocities at the instants
@@ -146,7 +146,7 @@ def separations(
     wide = np.ones(agents) if radii is None else radii
     lost = np.zeros_like(alive) if is_adrift is None else is_adrift & ~alive
     present = (alive[:-1] | lost[:-1]) & np.isfinite(b).all(axis=(2, 3))
-    list_pairs = _list_pairs_of_few if agents <= FEW_AGENTS else _list_pairs_by_trees
+    list_pairs = _list_pairs_of_few if agents <= ALL_PAIRS_AGENTS else _list_pairs_by_trees
     found = Separations(np.full(K, np.inf), np.zeros(K), np.full((K, 2), -1))
     for k, i, j in list_pairs(b, wide, present, lost[:-1]):
         relative = (b[k, j] - b[k, i]) / ((wide[i] + wide[j]) / 2)[:, None, None]
@@ -163,7 +163,7 @@ def sampled_separations(
 ) -> Float[Array, " instants"]:
     """Return the minimum distance of two live agents per instant, infinite for fewer than two."""
     present = alive & np.isfinite(position).all(axis=2)
-    if position.shape[1] > FEW_AGENTS:
+    if position.shape[1] > ALL_PAIRS_AGENTS:
         return np.array([min_distance(p[a]) for p, a in zip(position, present, strict=True)])
     points, least = np.where(present[..., None], position, np.nan), np.full(len(position), np.inf)
     for i in range(position.shape[1] - 1):
@@ -173,18 +173,26 @@ def sampled_separations(
 
 
 def min_distance(points: Float[Array, "k d"]) -> float:
-    """Return the minimum distance of any two points, infinite for fewer than two."""
+    """Return the minimum distance of any two points, infinite for fewer than two.
+
+    Raises:
+        ValueError: A point is not finite.
+    """
+    if not np.isfinite(points).all():
+        raise ValueError(
+            f"points must be finite, got {points[~np.isfinite(points).all(axis=1)][0]}"
+        )
     if len(points) < 2:
         return np.inf
-    if len(points) <= FEW_POINTS:
+    if len(points) <= ALL_PAIRS_POINTS:
         return float(scipy.spatial.distance.pdist(points).min())
     return float(scipy.spatial.cKDTree(points).query(points, k=2)[0][:, 1].min())
 
 
 def near_balls(middle: Float[Array, "k d"], radius: Float[Array, " k"]) -> Int[Array, "pairs 2"]:
-    """List the pairs of balls that overlap, or touch but for rounding."""
+    """List the pairs of balls that overlap, or touch but for rounding; all are finite."""
     largest = 2 * radius.max(initial=0.0) * (1 + 1e-12)
-    if len(middle) <= FEW_AGENTS:  # all pairs, sooner than a tree is built
+    if len(middle) <= ALL_PAIRS_AGENTS:  # all pairs, sooner than a tree is built
         i, j = np.triu_indices(len(middle), 1)
     else:
         i, j = scipy.spatial.cKDTree(middle).query_pairs(largest, output_type="ndarray").T

@@ -82,6 +82,12 @@ class GainProblem:
         return bool(self._allowed_entries.all())
 
     @property
+    def edge_share(self) -> float:
+        """Share of the pairs that are edges."""
+        n = len(self.graph)
+        return float(np.count_nonzero(self.graph)) / (n * (n - 1))
+
+    @property
     def non_edges(self) -> tuple[Array, Array]:
         """Both vertices of every non-edge, the lower number first."""
         i, j = np.nonzero(np.triu(~self.graph, 1))

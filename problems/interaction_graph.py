@@ -214,7 +214,7 @@ def _pad_laplacian(
 def _laplacian(
     weight: Float[Array, "*k n n"], degree: Float[Array, "*k n"]
 ) -> Float[Array, "*k n n"]:
-    L = -weight
+    L = -np.asarray(weight, dtype=float)
     diagonal = np.einsum("...ii->...i", L)  # a view
     diagonal += degree
     return L

@@ -35,7 +35,7 @@ MAX_PIVOTS = 10_000  # far above any number seen; HiGHS solves a program that ne
 DEFAULT_BATCHES = 64
 MIN_PARALLEL = 500  # programs that are worth starting threads for
 TASKS_PER_CORE = 8  # some batches take far longer than others: small tasks balance the cores
-FEW_PROGRAMS = 256  # whose certificates stay in the cache of a core
+CERTIFICATE_BATCH = 256  # whose certificates stay in the cache of a core
 CERTIFICATE_TOLERANCE = 1e-9  # relative, of residuals and gap
 
 
@@ -187,8 +187,8 @@ def _solve_parallel(
     def solve_some(task: int) -> None:
         own = starts[task * batches // tasks : (task + 1) * batches // tasks + 1]
         solve_batches(Q, first_basis, w, b, own, MAX_PIVOTS, x, λ, status)
-        for first in range(own[0], own[-1], FEW_PROGRAMS):
-            few = slice(first, min(first + FEW_PROGRAMS, own[-1]))
+        for first in range(own[0], own[-1], CERTIFICATE_BATCH):
+            few = slice(first, min(first + CERTIFICATE_BATCH, own[-1]))
             parts = b[few], x[few], λ[few], status[few]
             is_certified[few], is_infeasible[few] = _certify(Q, w, *parts)
 

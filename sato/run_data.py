@@ -17,6 +17,7 @@ from numpy import ndarray as Array
 if TYPE_CHECKING:  # slow to import
     import xarray
 
+ALWAYS_COMPRESSED = 4_000_000  # size up to which variables are [byte]
 _NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
 _IS_BOOL = {"dtype": "bool"}  # attribute by which xarray finds that bytes are booleans
 
@@ -121,10 +122,9 @@ def _write_variable(file: Any, name: str, variable: Variable) -> None:
 
 
 def _shrinks(values: Array) -> bool:
-    # Whether compression halves a column in the middle; where it does not, it takes longer than
-    # the rest of the file together.
-    if not values.size:
-        return False
+    # Of much data, only what compression halves: else it takes longer than all other writing.
+    if values.nbytes <= ALWAYS_COMPRESSED:
+        return True
     column = values.reshape(len(values), -1)[:, values[0].size // 2].copy()
     shuffled = column.view(np.uint8).reshape(-1, values.itemsize).T.tobytes()
     return len(zlib.compress(shuffled, 1)) < len(shuffled) / 2

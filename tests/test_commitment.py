@@ -23,7 +23,6 @@ from reconfiguration_runs import leg_to, make_mission, row
 import sato
 from dynamics.trajectory_geometry import hull_distance
 from problems import convexify
-from problems.limit import Limit
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import commitment, loop
 from sato.reconfiguration.agent_stages import Choosing
@@ -93,18 +92,24 @@ def decisions():
 
 
 @pytest.mark.parametrize("norm", NORMS)
-def test_stop_at_once_rests_within_the_limit_in_fewest_steps(rng, norm):
-    for _ in range(300):
-        d = int(rng.integers(2, 4))
-        limit = Limit(rng.uniform(0.1, 1, d) if rng.random() < 0.5 else 0.3, norm, d)
-        h, v = rng.uniform(0.1, 2), rng.normal(size=d) * rng.choice([0, 1e-8, 0.1, 1, 10])
-        if rng.random() < 0.2:  # exactly a number of steps
-            v *= int(rng.integers(1, 5)) * limit.most * h / max(limit.measure(v), 1e-9)
-        u = stop_at_once(limit, v, h)
-        assert np.abs(v + h * u.sum(axis=0)).max() <= 1e-12 * max(limit.most * h, np.abs(v).max())
+def test_stops_rest_within_the_limit_in_fewest_steps(rng, norm):
+    for _ in range(20):
+        d, h = int(rng.integers(2, 4)), rng.uniform(0.1, 2)
+        bound = rng.uniform(0.1, 1, d).tolist() if rng.random() < 0.5 else 0.3
+        leg = sato.Leg(row(2, 3.0, d), 100)
+        own = {"max_control": bound, "control_norm": norm, "max_speed": None, "step": h}
+        mission = make_mission(row(2, 0.0, d), leg, **own)
+        limit, agents = mission.control_limit(0), np.zeros(20, dtype=int)
+        v = rng.normal(size=(20, d)) * rng.choice([0, 1e-8, 0.1, 1, 10], (20, 1))
+        whole = rng.random(20) < 0.2  # exactly a number of steps
+        size = rng.integers(1, 5, 20) * limit.most * h / np.maximum(limit.measure(v), 1e-9)
+        v[whole] *= size[whole, None]
+        u, length = end_at_rest(mission, agents, v, np.zeros((20, 0, d)), agents)
+        off = np.abs(v + h * u.sum(axis=1)).max(axis=1)
+        assert (off <= 1e-12 * np.maximum(limit.most * h, np.abs(v).max(axis=1))).all()
         assert (limit.measure(u) <= limit.most * (1 + ROUNDING)).all()
         # Each step takes away U h at most of the norm.
-        assert limit.measure(v) > (len(u) - 1) * limit.most * h or not len(u)
+        assert ((limit.measure(v) > (length - 1) * limit.most * h) | (length == 0)).all()
 
 
 def test_many_end_at_rest_as_each_alone_under_limits_of_its_own(rng):

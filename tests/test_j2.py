@@ -97,6 +97,15 @@ def test_rate_and_jacobian_agree_with_the_published_equations():
             assert_allclose(ours, theirs, rtol=1e-9, atol=1e-13)
 
 
+def test_rates_of_an_array_of_symbols_are_those_of_numbers(rng):
+    model, x, u = J2(random_orbit(rng)), 1e3 * rng.normal(size=6), rng.normal(size=3)
+    x[3:] *= 1e-3
+    symbols = casadi.SX.sym("x", 6)
+    traced = model.rate(100.0, np.array(casadi.vertsplit(symbols)), u.astype(object))
+    function = casadi.Function("rate", [symbols], [casadi.vertcat(*traced)])
+    assert_allclose(np.array(function(x)).ravel(), model.rate(100.0, x, u), rtol=1e-9, atol=1e-12)
+
+
 def test_the_chief_stays_at_the_origin():
     still = np.zeros(6)
     np.testing.assert_array_equal(J2(LOW).rate(123.0, still, np.zeros(3)), still)

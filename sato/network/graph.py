@@ -16,16 +16,21 @@ class CommunicationGraph:
     """Undirected graph of the agents that exchange messages.
 
     Raises:
-        ValueError: The graph is directed, or has an edge from an agent to itself or to one that
-            is not alive.
+        ValueError: The graph is directed, has an edge from an agent to itself or to one that is
+            not alive, or not as many rows and columns as there are agents.
     """
 
     adjacency: Bool[Array, "agents agents"]
     alive: Bool[Array, " agents"]
 
     def __post_init__(self) -> None:
-        i, j = self.edges
-        is_directed, is_lost = ~self.adjacency[j, i], ~self.alive[i]
+        if self.adjacency.shape != (len(self.alive), len(self.alive)):
+            raise ValueError(
+                f"the adjacency of {len(self.alive)} agents needs as many rows and columns, got "
+                f"{self.adjacency.shape}"
+            )
+        i, j = self._edges
+        is_directed, is_lost = self.adjacency[j, i] == 0, self.alive[i] == 0
         if is_directed.any():
             k = is_directed.argmax()
             raise ValueError(f"agent {i[k]} hears agent {j[k]} but not the other way round")
@@ -78,15 +83,15 @@ class CommunicationGraph:
         return tuple(np.flatnonzero(row) for row in self.adjacency)
 
     @cached_property
-    def edges(self) -> tuple[Int[Array, " edges"], Int[Array, " edges"]]:
-        """Both agents of each edge, in order; an edge each way."""
+    def _edges(self) -> tuple[Int[Array, " edges"], Int[Array, " edges"]]:
+        # Both agents of each edge, in order; an edge each way.
         i, j = np.nonzero(self.adjacency)
         return i, j
 
     @cached_property
     def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Both agents of each pair of neighbors, the one of lower number first, in order."""
-        i, j = self.edges
+        i, j = self._edges
         return i[i < j], j[i < j]
 
     def pairs_among(

@@ -6,7 +6,7 @@ for all agents until their trajectories are final. `priority_orders` tries sever
 priority, in `negotiation` two agents in conflict plan together, and `resolve` combines the two with
 roundabouts, in which all pass on the same side.
 
-`problems.convexify` states what separation means, and makes it convex.
+`problems.path_separation` states what separation means, and `problems.convexify` makes it convex.
 """
 
 from sato.scp.planner import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner
