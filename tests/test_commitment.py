@@ -97,7 +97,7 @@ def test_stops_rest_within_the_limit_in_fewest_steps(rng, norm):
         d, h = int(rng.integers(2, 4)), rng.uniform(0.1, 2)
         bound = rng.uniform(0.1, 1, d).tolist() if rng.random() < 0.5 else 0.3
         leg = sato.Leg(row(2, 3.0, d), 100)
-        own = {"max_control": bound, "control_norm": norm, "max_speed": None, "step": h}
+        own = {"max_control": bound, "control_norm": norm, "comm_radius": 10.0, "step": h}
         mission = make_mission(row(2, 0.0, d), leg, **own)
         limit, agents = mission.control_limit(0), np.zeros(20, dtype=int)
         v = rng.normal(size=(20, d)) * rng.choice([0, 1e-8, 0.1, 1, 10], (20, 1))
