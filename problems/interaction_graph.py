@@ -4,6 +4,7 @@ The weights of [Bernard2023, eq. 6–11] and their gradients, eq. 12–13, with 
 corrected: the bearing in the other agent's body frame is β_ji = −(ⁱR_j)ᵀ β_ij.
 """
 
+from collections.abc import Callable
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -184,13 +185,40 @@ def algebraic_connectivity(
     limit = second + MULTIPLICITY_TOLERANCE * np.maximum(1, second)
     equal = np.where(np.isfinite(second), value[..., 1:] <= limit, False)
     shares = equal / np.maximum(equal.sum(axis=-1, keepdims=True), 1)
-    # Mean of (v_i − v_j)² over the eigenvectors of λ₂
-    product = (vector[..., 1:] * shares[..., None, :]) @ vector[..., 1:].swapaxes(-1, -2)
+    gradient = _weight_gradient(vector[..., 1:], shares, is_member)
+    return AlgebraicConnectivity(value[..., 1], third, gradient)
+
+
+def spectral_slope(
+    weight: Float[Array, "*k n n"],
+    slope: Callable[[Float[Array, "*k n-1"]], Float[Array, "*k n-1"]],
+    members: Bool[Array, "*k n"],
+) -> tuple[Float[Array, "*k"], Float[Array, "*k n n"]]:
+    """Compute λ₂, and Σ_k V′(λ_k) ∂λ_k/∂A_ij over k ≥ 2 for a function V of eigenvalues.
+
+    The sum is smooth where V is, also where eigenvalues meet, as it does not depend on the basis of
+    their eigenvectors [Lewis1996].
+
+    Args:
+        weight: Edge weights, at most 1, of at least two agents.
+        slope: V′; 0 at infinity.
+        members: True for agents of the graph. λ₂ of one agent is infinite.
+    """
+    value, vector = np.linalg.eigh(_pad_laplacian(weight, members))
+    value, second, _ = _select_eigenvalues(value, members)
+    return second, _weight_gradient(vector[..., 1:], slope(value[..., 1:]), members)
+
+
+def _weight_gradient(
+    vector: Float[Array, "*k n m"], shares: Float[Array, "*k m"], members: Bool[Array, "*k n"]
+) -> Float[Array, "*k n n"]:
+    # Σ_k s_k (v_ki − v_kj)²
+    product = (vector * shares[..., None, :]) @ vector.swapaxes(-1, -2)
     square = np.diagonal(product, axis1=-2, axis2=-1)
     gradient = square[..., None] + square[..., None, :] - 2 * product
-    if not is_member.all():
-        gradient = np.where(is_member[..., None] & is_member[..., None, :], gradient, 0.0)
-    return AlgebraicConnectivity(value[..., 1], third, gradient)
+    if not members.all():
+        gradient = np.where(members[..., None] & members[..., None, :], gradient, 0.0)
+    return np.asarray(gradient)
 
 
 def connectivity_eigenvalues(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from recorded_run import record_run, with_data
 
+import sato
 from sato.check.common import find_closest_approach
 from sato.connectivity.check.promises import check_run
 from sato.connectivity.check.recorded import ConnectivityRecord
@@ -78,6 +79,25 @@ def test_unaltered_run_keeps_all_promises(settings):
     report = check_run(run.recorded, mission)
     assert report.kept, report.broken
     assert report.summary["success"] is True
+
+
+def test_commands_that_jump_to_and_fro_are_found(honest):
+    run, mission = honest
+    was = run.data["velocity_command"]
+    shaken = was.values + 0.2 * (-1.0) ** np.arange(len(was))[:, None, None]
+    found = with_data(run, run.data.assign(velocity_command=(was.dims, shaken, was.attrs)))
+    assert {"chattering", "obedience"} <= broken(found, mission)
+    assert "chattering" not in broken(found, replace(mission, occlusion=True))
+
+
+def test_a_potential_of_the_spectrum_ends_the_chattering_of_lambda2():
+    # λ₂ and λ₃ change places again and again in this flight.
+    shares = {}
+    for of in ("lambda2", "spectrum"):
+        run = sato.run("connectivity", seed=5, overrides=["duration_s=16", f"potential.of={of}"])
+        shares[of] = run.summary["chattering"]
+        assert not run.summary["broken"]
+    assert shares["lambda2"] > 0.01 and shares["spectrum"] < 0.001
 
 
 def bent(values, by=1e-6):

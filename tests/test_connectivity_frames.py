@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Camera
 from sato.connectivity.controller import (
+    act_on_rows,
     compute_commands,
     estimate_edges,
-    estimate_lambda2_from_rows,
 )
 from sato.connectivity.loop import Swarm
 from sato.connectivity.mission import Connectivity
@@ -120,8 +120,8 @@ def spoiled(part, robot):
 def decided(robot, known, mission):
     """Return all that a robot estimates and commands."""
     found = estimate_edges(known, mission, 0.6)
-    lambda2, slope = estimate_lambda2_from_rows(found.adjacency, -0.4)
-    found = found._replace(lambda2=lambda2, lambda2_gradient=slope)
+    lambda2, action = act_on_rows(found.adjacency, -0.4, mission.potential)
+    found = found._replace(lambda2=lambda2, action=action)
     command = compute_commands(known._replace(estimates=found), mission)
     fields = [*found, *found.adjacency, command]
     return [field[robot] for field in fields if isinstance(field, np.ndarray)]

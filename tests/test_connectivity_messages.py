@@ -1,6 +1,7 @@
 """Messages: flooded rows of the adjacency matrix, period, delay and loss."""
 
 from collections import deque
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,15 +18,16 @@ from problems.interaction_graph import (
     interaction_graph,
     lambda2_gradient,
     laplacian,
+    spectral_slope,
 )
-from sato.connectivity.controller import estimate_lambda2_from_rows, negative_slope
+from sato.connectivity.controller import act_on_rows, negative_slope
 from sato.connectivity.messages import exchange_messages, merge_rows
 from sato.connectivity.mission import AgentLoss, Connectivity
 from sato.connectivity.settings import CommunicationLink, Potential, Repulsion
 from sato.connectivity.state import AdjacencyRows, Knowledge
 
 STEP = 0.005  # [s]
-GENTLE = Potential(strength=1e-15)  # nobody gets anywhere
+GENTLE = Potential(strength=1e-15, of="lambda2")  # nobody gets anywhere
 
 
 def chain(rng, agents=8):
@@ -100,7 +102,7 @@ def test_relayed_rows_never_become_older(tales):
 
 
 @given(st.integers(3, 9), st.integers(0, 2**32 - 1))
-def test_local_lambda2_gradient_agrees_with_the_central_one(agents, seed):
+def test_local_action_agrees_with_the_central_one(agents, seed):
     rng = np.random.default_rng(seed)
     weight = np.triu(rng.uniform(0.05, 1, (agents, agents)), 1)
     weight += weight.T
@@ -111,10 +113,15 @@ def test_local_lambda2_gradient_agrees_with_the_central_one(agents, seed):
     rows[np.ix_(np.arange(agents + 2), known, known)] = weight
     time = np.ones((agents + 2, agents + 2))
     time[:, [1, 3]] = 0.0
-    lambda2, felt = estimate_lambda2_from_rows(AdjacencyRows(rows, time), 0.5)
-    assert lambda2 == pytest.approx(np.full(agents + 2, whole.lambda2), abs=1e-12)
-    assert felt[np.ix_(known, known)] == pytest.approx(whole.weight_gradient, abs=1e-12)
-    assert not felt[:, [1, 3]].any()
+    slope = partial(negative_slope, potential=Potential())
+    _, central = spectral_slope(weight, slope, np.ones(agents, dtype=bool))
+    alone = slope(whole.lambda2) * whole.weight_gradient
+    for of, expected in (("lambda2", alone), ("spectrum", central)):
+        lambda2, felt = act_on_rows(AdjacencyRows(rows, time), 0.5, Potential(of=of))
+        assert lambda2 == pytest.approx(np.full(agents + 2, whole.lambda2), abs=1e-12)
+        accuracy = 1e-9 * np.abs(expected).max()
+        assert felt[np.ix_(known, known)] == pytest.approx(expected, abs=accuracy)
+        assert not felt[:, [1, 3]].any()
 
 
 class Listening:

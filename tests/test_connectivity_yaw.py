@@ -206,7 +206,7 @@ def test_without_motion_the_error_of_yaw_stays(off, speed, way, climb):
 def test_first_commands_follow_the_true_gradient(seed):
     rng = np.random.default_rng(seed)
     position, yaw = connected_poses(rng)
-    gentle = Potential(strength=1e-6)  # so that nothing is cut off
+    gentle = Potential(strength=1e-6, of="lambda2")  # so that nothing is cut off
     mission = posed(
         position, yaw, duration=1e-3, estimator="exact", potential=gentle,
         repulsion=Repulsion(strength=0.0),

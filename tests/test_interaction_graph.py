@@ -11,6 +11,7 @@ from problems.interaction_graph import (
     interaction_graph,
     lambda2_gradient,
     laplacian,
+    spectral_slope,
 )
 
 SIGHT = Camera()
@@ -82,6 +83,26 @@ def test_weights_and_gradient_agree_with_the_printed_formulas():
                     slope += felt[i, j] * np.asarray(by).ravel()
             whole = lambda2_gradient(position, yaw, SIGHT)
             assert [*whole.position[i], whole.yaw[i]] == pytest.approx(slope, abs=1e-10)
+
+
+@pytest.mark.parametrize("meeting", [False, True])
+def test_slope_over_the_spectrum_is_that_of_the_summed_potential(rng, meeting):
+    # On a complete graph of equal weights all eigenvalues are one, and the sum has a gradient.
+    weight = np.full((6, 6), 0.4) if meeting else np.triu(rng.uniform(0.1, 1, (6, 6)), 1)
+    weight = (weight + weight.T) / 2 if meeting else weight + weight.T
+    np.fill_diagonal(weight, 0.0)
+    everyone = np.ones(6, dtype=bool)
+
+    def potential(w):
+        return float((1 / np.linalg.eigvalsh(laplacian(w))[1:]).sum())
+
+    lambda2, found = spectral_slope(weight, lambda x: -1 / x**2, everyone)
+    assert lambda2 == pytest.approx(np.linalg.eigvalsh(laplacian(weight))[1])
+    for _ in range(10):
+        change = np.triu(rng.normal(size=(6, 6)), 1)
+        change += change.T
+        slope = (potential(weight + 1e-5 * change) - potential(weight - 1e-5 * change)) / 2e-5
+        assert (np.triu(found, 1) * change).sum() == pytest.approx(slope, rel=1e-6, abs=1e-7)
 
 
 def test_eigenvalues_of_members_are_those_of_the_graph_without_others(rng):

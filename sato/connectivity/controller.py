@@ -5,12 +5,19 @@ row i of measurements, messages and estimates alone. The estimators `exact` and 
 exceptions, for comparison.
 """
 
+from functools import partial
+
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
-from problems.interaction_graph import Numbers, algebraic_connectivity, edge_weights
+from problems.interaction_graph import (
+    Numbers,
+    algebraic_connectivity,
+    edge_weights,
+    spectral_slope,
+)
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.power_iteration import iterate_power, lambda2_from_power
 from sato.connectivity.settings import MAX_ROW_AGE, Potential, Repulsion
@@ -62,7 +69,7 @@ def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> Agen
 def estimate_lambda2(
     known: Knowledge, alive: Bool[Array, " n"], mission: Connectivity, time: float
 ) -> AgentEstimates:
-    """Estimate λ₂ and its gradient in the weights of own edges.
+    """Estimate λ₂, and the slope of the potential in the weights of own edges.
 
     Args:
         known: What agents know, with the edges of now.
@@ -74,19 +81,22 @@ def estimate_lambda2(
     if mission.estimator == "power_pi":
         return _estimate_by_power_iteration(known, alive, mission)
     if mission.estimator == "flood":
-        lambda2, gradient = estimate_lambda2_from_rows(estimates.adjacency, time - MAX_ROW_AGE)
+        oldest = time - MAX_ROW_AGE
+        lambda2, action = act_on_rows(estimates.adjacency, oldest, mission.potential)
     else:
         # From outside: λ₂ of the weights that the agents estimate.
-        found = algebraic_connectivity(_mean_of_both_ends(estimates.weight), alive)
-        lambda2, gradient = found.lambda2, found.weight_gradient
-    lambda2 = np.where(alive & np.isfinite(lambda2), lambda2, np.nan)
-    return estimates._replace(lambda2=lambda2, lambda2_gradient=gradient)
+        mean = _mean_of_both_ends(estimates.weight)
+        lambda2, action = _act_on_graph(mean, alive, mission.potential)
+    is_known = alive & np.isfinite(lambda2)
+    return estimates._replace(
+        lambda2=np.where(is_known, lambda2, np.nan), action=np.where(is_known[:, None], action, 0.0)
+    )
 
 
-def estimate_lambda2_from_rows(
-    adjacency: AdjacencyRows, oldest: float
+def act_on_rows(
+    adjacency: AdjacencyRows, oldest: float, potential: Potential
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
-    """Estimate λ₂ of the graph known to each agent, and its gradient in the edges of the agent.
+    """Estimate λ₂ of the graph known to each agent, and −∂V/∂A_ij of the edges of the agent.
 
     Every agent computes the row of its own edges, with the time, and relays all rows that it
     knows. A row from the other end of the graph is as many steps old as it is hops away.
@@ -94,10 +104,21 @@ def estimate_lambda2_from_rows(
     Args:
         adjacency: Rows known to each agent.
         oldest: Time before which rows are forgotten [s].
+        potential: Potential V.
     """
-    found = algebraic_connectivity(_mean_of_both_ends(adjacency.weight), adjacency.time >= oldest)
-    own = np.arange(len(adjacency.time))
-    return found.lambda2, found.weight_gradient[own, own]
+    graph, own = _mean_of_both_ends(adjacency.weight), np.arange(len(adjacency.time))
+    lambda2, action = _act_on_graph(graph, adjacency.time >= oldest, potential)
+    return lambda2, action[own, own]
+
+
+def _act_on_graph(
+    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"], potential: Potential
+) -> tuple[Float[Array, "*k"], Float[Array, "*k n n"]]:
+    if potential.of == "spectrum":
+        return spectral_slope(weight, partial(negative_slope, potential=potential), members)
+    found = algebraic_connectivity(weight, members)
+    slope = np.asarray(negative_slope(found.lambda2, potential))
+    return found.lambda2, slope[..., None, None] * found.weight_gradient
 
 
 def _mean_of_both_ends(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
@@ -117,10 +138,12 @@ def _estimate_by_power_iteration(
     is_good = (lambda2 >= 0) & (lambda2 <= 1.1 * mission.potential.lambda2_max) & (size >= 0.05)
     difference = iterates.v[:, None] - iterates.v
     gradient = difference**2 / (len(size) * np.where(is_good, size, 1.0))[:, None]
+    action = negative_slope(lambda2, mission.potential)[:, None] * gradient
+    action = np.where(is_good[:, None], action, estimates.action)
     return estimates._replace(
         iterates=iterates,
         lambda2=np.where(alive, np.where(is_good, lambda2, estimates.lambda2), np.nan),
-        lambda2_gradient=np.where(is_good[:, None], gradient, estimates.lambda2_gradient),
+        action=np.where(alive[:, None], action, 0.0),
     )
 
 
@@ -130,9 +153,7 @@ def compute_commands(known: Knowledge, mission: Connectivity) -> Float[Array, "n
     An agent without an edge, or without an estimate of λ₂, only keeps its distance.
     """
     estimates, points, limits = known.estimates, known.measurements.range_points, mission.limits
-    slope = negative_slope(estimates.lambda2, mission.potential)
-    by_weight = slope[:, None] * estimates.lambda2_gradient
-    command = np.einsum("ij,ijk->ik", by_weight, estimates.weight_gradient)
+    command = np.einsum("ij,ijk->ik", estimates.action, estimates.weight_gradient)
     gain = repulsion_gain(vector_lengths(points), mission.repulsion)
     apart = np.where(np.isnan(points), 0.0, points)
     velocity = command[:, :3] - np.einsum("ij,ijk->ik", gain, apart)

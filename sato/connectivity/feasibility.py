@@ -42,6 +42,8 @@ def check_settings(mission: "Connectivity") -> None:
             cure = share * high if high > 0 else high - 0.5
             text = f"{low:g} is not less than {other} = {high:g}; {cure:.3g} would do"
             raise InputError(key, text)
+    if mission.estimator == "power_pi" and mission.potential.of == "spectrum":
+        raise InputError("potential.of", 'power_pi estimates λ₂ alone; "lambda2" would do')
     if len(camera.optical_axis) != 3 or not 1e-6 < hypot(*camera.optical_axis) < 1e6:
         raise InputError("camera.axis", "needs 3 coordinates, not all 0; [1, 1, 0] would do")
 

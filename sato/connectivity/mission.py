@@ -110,11 +110,14 @@ class Connectivity(Mission):
     def completed(self) -> dict[str, Any]:
         """Return the number of agents, the yaw of listed poses, and a unit optical axis."""
         values: dict[str, Any] = {}
+        if self.potential.of is None:
+            of = "lambda2" if self.estimator == "power_pi" else "spectrum"
+            values["potential"] = self.potential._replace(of=of)
         if isinstance(self.start, Poses):
             if self.start.yaw is not None:
                 if self.yaw is not None:
                     raise InputError("swarm.yaw_rad", "is given twice; the start has it too")
-                values = {"start": Poses(self.start.positions), "yaw": self.start.yaw}
+                values |= {"start": Poses(self.start.positions), "yaw": self.start.yaw}
         elif self.yaw is not None:
             raise InputError("swarm.yaw_rad", "needs a start with positions")
         if self.agents is None:

@@ -1,6 +1,6 @@
 """Settings of a connectivity mission: action, repulsion, tracking, limits, messages, gains."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 from annotated_types import Lt
 
@@ -12,11 +12,15 @@ MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
 
 
 class Potential(NamedTuple):
-    """Potential V(λ₂) [Bernard2023, Fig. 2]."""
+    """Potential V of λ₂ alone [Bernard2023, Fig. 2], or the sum of V(λ_k) over k ≥ 2."""
 
     lambda2_min: Annotated[float, NotNegative, "λ₂^min, at which the potential is infinite"] = 0.01
     lambda2_max: Annotated[float, Positive, "λ₂^max, from which on the potential is zero"] = 3.01
     strength: Annotated[float, NotNegative, "gain of the action that keeps λ₂ large"] = 0.1
+    of: Annotated[
+        Literal["spectrum", "lambda2"],
+        "eigenvalues it is of; the sum over all is smooth where they meet; power_pi knows λ₂ alone",
+    ] = LATER
 
 
 class Repulsion(NamedTuple):

@@ -82,7 +82,7 @@ class AgentEstimates(NamedTuple):
     adjacency: AdjacencyRows
     iterates: PowerIterates
     lambda2: Float[Array, " n"]  # NaN unknown
-    lambda2_gradient: Float[Array, "n n"]  # ∂λ₂/∂A_ij
+    action: Float[Array, "n n"]  # −∂V/∂A_ij
 
 
 class Knowledge(NamedTuple):

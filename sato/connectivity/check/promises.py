@@ -23,6 +23,7 @@ from sato.network.graph import canonicalize_labels, label_components
 from sato.run_data import RunData
 
 TOLERANCE = 1e-9  # rounding of weights, eigenvalues, cosines and speeds
+MAX_CHATTERING = 0.01  # share of commands; a jumping gradient makes some tenths of them
 NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ is beyond
 
 
@@ -96,6 +97,14 @@ def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
     yield expect_below("speed", speed, limits.speed, TOLERANCE, "m/s commanded at most")
     rate = frames.yaw_rate[frames.alive]
     yield expect_below("turn", rate, limits.yaw_rate, TOLERANCE, "rad/s commanded at most")
+    mission, link = record.mission, record.mission.link
+    disturbances = (
+        mission.camera_noise, record.noise_std, link.loss_probability, link.delay_messages,
+        mission.occlusion, mission.losses,
+    )  # fmt: skip
+    if mission.potential.of == "spectrum" and not any(disturbances) and len(frames.time) > 2:
+        text = "of the followers' commands jump and return in two steps"
+        yield expect_below("chattering", record.chattering, MAX_CHATTERING, 0.0, text)
 
 
 def check_stick(record: ConnectivityRecord) -> Promise:

@@ -4,7 +4,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
 from dynamics.kinematic import KinematicVehicle
@@ -16,6 +16,7 @@ from sato.connectivity.obstacles import min_obstacle_distance
 from sato.connectivity.sensors import CameraViews, compute_views
 from sato.record import RunRecord
 
+JUMP_SHARE = 0.1  # of the largest speed: a change of a command in a step that is a jump
 MAX_BATCH = 1_000_000  # pairs, with what may hide one from the other, of one computation
 
 
@@ -32,6 +33,15 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         """Least distance of an agent to an obstacle, between instants too [m]."""
         obstacles = self.mission.obstacle_arrays
         return min_obstacle_distance(self.frames.position, self.frames.alive, obstacles)
+
+    @cached_property
+    def chattering(self) -> float:
+        """Share of the followers' commands that jump by a tenth of the limit, and back at once."""
+        change = np.diff(self.frames.velocity_command[:, 1:], axis=0)
+        is_live = self.frames.alive[:, 1:].all(axis=0)
+        jumps = np.linalg.norm(change, axis=2) > JUMP_SHARE * self.mission.limits.speed
+        is_back = np.vecdot(change[1:], change[:-1]) < 0
+        return _mean(jumps[1:] & jumps[:-1] & is_back, np.broadcast_to(is_live, is_back.shape))
 
     @property
     def noise_std(self) -> float:
@@ -95,6 +105,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             "lambda2_error_mean": _mean(lambda2_error, frames.alive & np.isfinite(lambda2_error)),
             "yaw_error_mutual": _mean(yaw_error, sees & is_seen),
             "yaw_error_one_sided": _mean(yaw_error, sees & ~is_seen),
+            "chattering": self.chattering,
             "min_separation_m": self.min_separation,
             "min_obstacle_distance_m": self.min_obstacle_distance,
             "edges_mean": float(np.triu(frames.edge_weight > 0).sum(axis=(1, 2)).mean()),
@@ -104,7 +115,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         return common.drop_non_finite(summary)
 
 
-def _mean(values: Float[Array, "*k"], which: Bool[Array, "*k"]) -> float:
+def _mean(values: Shaped[Array, "*k"], which: Bool[Array, "*k"]) -> float:
     return float(values[which].mean()) if which.any() else np.nan
 
 
