@@ -14,6 +14,7 @@ from sato.connectivity.loop import advance_vehicles
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.obstacles import min_obstacle_distance
 from sato.connectivity.sensors import CameraViews, compute_views
+from sato.connectivity.settings import MAX_ROW_AGE
 from sato.record import RunRecord
 
 JUMP_SHARE = 0.1  # of the largest speed: a change of a command in a step that is a jump
@@ -36,8 +37,12 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
 
     @cached_property
     def chattering(self) -> float:
-        """Share of the followers' commands that jump by a tenth of the limit, and back at once."""
-        change = np.diff(self.frames.velocity_command[:, 1:], axis=0)
+        """Share of the followers' commands that jump by a tenth of the limit, and back at once.
+
+        NaN in the first second, in which robots hear of each other.
+        """
+        first = round(MAX_ROW_AGE / self.mission.step)
+        change = np.diff(self.frames.velocity_command[first:, 1:], axis=0)
         is_live = self.frames.alive[:, 1:].all(axis=0)
         jumps = np.linalg.norm(change, axis=2) > JUMP_SHARE * self.mission.limits.speed
         is_back = np.vecdot(change[1:], change[:-1]) < 0
