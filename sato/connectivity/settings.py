@@ -19,7 +19,7 @@ class Potential(NamedTuple):
     strength: Annotated[float, NotNegative, "gain of the action that keeps λ₂ large"] = 0.1
     of: Annotated[
         Literal["spectrum", "lambda2"],
-        "eigenvalues it is of; the sum over all is smooth where they meet; power_pi knows λ₂ alone",
+        "its eigenvalues: all, which is smooth where they meet, or λ₂ alone, as power_pi must",
     ] = LATER
 
 
