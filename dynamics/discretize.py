@@ -81,17 +81,16 @@ class DiscreteModel:
     def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
-        if A.ndim > 3:
-            u = np.broadcast_to(u, (*A.shape[1:-2], *u.shape[-2:]))
-        u, states = np.moveaxis(u, -2, 0), [x]
-        if A.ndim > 3:
-            states = [np.broadcast_to(x, z.shape[1:])]
-            push = _matvec(B[: len(u)], u) + z[: len(u)]
-        for k, now in enumerate(u):
-            if A.ndim > 3:
-                states.append(_matvec(A[k], states[-1]) + push[k])
-            else:
+        if A.ndim == 3:
+            states = [x]
+            for k, now in enumerate(np.moveaxis(u, -2, 0)):
                 states.append(states[-1] @ A[k].T + now @ B[k].T + z[k])
+            return np.stack(states, axis=-2)
+        u = np.moveaxis(np.broadcast_to(u, (*A.shape[1:-2], *u.shape[-2:])), -2, 0)
+        push = _matvec(B[: len(u)], u) + z[: len(u)]
+        states = [np.broadcast_to(x, z.shape[1:])]
+        for k, change in enumerate(push):
+            states.append(_matvec(A[k], states[-1]) + change)
         return np.stack(states, axis=-2)
 
     def coast_to_end(self, x: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
