@@ -51,6 +51,9 @@ def judge_letters(run: sato.Run) -> dict[str, Any]:
         "holes_after_loss": legs[2]["holes"],
         "gap": legs[3]["gap"],
         "steps": legs[0]["steps"],
+        "collided": not good["separated"],
+        "unsettled": not good["reached"],
+        "resets": sum(leg["resets"] for leg in legs),
     }
 
 

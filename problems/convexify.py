@@ -20,7 +20,7 @@ from dynamics.trajectory_geometry import hull_distance
 from problems.half_spaces import HalfSpaces, separate_points
 from problems.path_separation import Separation
 
-PassingSide = Literal["same", "opposite", "above", "below"]
+PassingSide = Literal["same", "opposite", "above", "below", "nominal"]
 
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
@@ -37,6 +37,7 @@ class AvoidanceHorizon:
     fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
     clearance: float  # R_col, the margin and the interpolation error of the pieces [m]
     scale: tuple[float, ...] | None = None  # of control points, along each axis
+    samples_only: bool = False  # control points are the samples alone [Morgan2016, eq. 38]
 
     def with_clearance(self, clearance: float) -> "AvoidanceHorizon":
         """Return the horizon of a vehicle with another clearance."""
@@ -74,11 +75,14 @@ class AvoidanceHorizon:
         third = np.concatenate([np.eye(d), np.eye(d) * h / 3], axis=1)
         back = np.concatenate([np.eye(d), -np.eye(d) * h / 3], axis=1)
         pick = np.stack([np.eye(d, n), third, back, np.eye(d, n)])
+        begun = 2  # points of the state before a piece, the others are of the one after it
+        if self.samples_only:
+            pick, begun = np.stack([np.eye(d, n)] * 4), 0
         x, u, z = np.tile(np.eye(n), (T, 1, 1)), np.zeros((T, n, d)), np.zeros((T, n, 1))
         for s in range(S):
             after = A[:, s] @ x, A[:, s] @ u + B[:, s], A[:, s] @ z + c[:, s]
             for i in range(4):
-                x_i, u_i, z_i = (x, u, z) if i < 2 else after
+                x_i, u_i, z_i = (x, u, z) if i < begun else after
                 P[:, s, i], Q[:, s, i] = pick[i] @ x_i, pick[i] @ u_i
                 r[:, s, i] = (pick[i] @ z_i)[..., 0]
             x, u, z = after
@@ -186,13 +190,14 @@ def choose_normals(
         relative: Control points of the nominal trajectory less those of the others [m].
         separation: Required distance, of all others or of each [m].
         side: Displacement in a conflict: to the side of the closest approach ("same"), to the
-            opposite one, or, in space, above or below the plane of closest approach and motion.
+            opposite one, or, in space, above or below the plane of closest approach and motion;
+            none, and so the normals as printed ("nominal").
     """
     distance, nearest = hull_distance(relative)
     displaced = relative
     required = np.broadcast_to(separation, len(relative))
     conflicts = np.flatnonzero(distance.min(axis=1) < required)
-    if len(conflicts):
+    if len(conflicts) and side != "nominal":
         displaced = relative.copy()
         for a in conflicts:
             hulls = relative[a], distance[a], nearest[a]

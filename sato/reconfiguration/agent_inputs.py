@@ -62,6 +62,11 @@ def check_agent(
             "plan.passive_safety_m: drifts lead beyond hearing, and an agent hears only its "
             "neighbors' plans; leave it out, or fly the mission by sato.run"
         )
+    if mission.printed:
+        raise ValueError(
+            "plan.printed: an agent commits to what it has checked, which the printed methods do "
+            "not; leave it out, or fly the mission by sato.run"
+        )
     if mission.orders > 1 or mission.bargains or mission.assignment == "central":
         raise ValueError(
             f"plan.orders = {mission.orders}, plan.bargains = {mission.bargains} and "

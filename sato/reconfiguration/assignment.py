@@ -173,7 +173,7 @@ def run_auction(
     if blocked is not None:
         order, count = order_targets(count, blocked)
     while True:
-        cost = compute_bid_costs(table, memory, graph, is_firm)
+        cost = compute_bid_costs(table, memory, graph, is_firm, mission.printed)
         if order is not None:
             cost = np.take_along_axis(cost, order, axis=1)
         auction = METHODS[mission.assignment](
@@ -216,6 +216,7 @@ def compute_bid_costs(
     memory: AgentMemory,
     graph: CommunicationGraph,
     is_firm: Bool[Array, " agents"] | None = None,
+    is_printed: bool = False,
 ) -> Float[Array, "agents targets"]:
     """Compute the costs by which each agent bids, see `apply_bidding_rules`."""
     bid = table.cost.copy()
@@ -224,7 +225,7 @@ def compute_bid_costs(
         is_near = graph.component == graph.component[i]
         is_own_firm = is_firm is not None and is_firm[i]
         firm = firm_penalty(ranges[is_near].tolist()) if is_own_firm else None
-        bid[i] = apply_bidding_rules(table, memory, i, is_near, firm)
+        bid[i] = apply_bidding_rules(table, memory, i, is_near, firm, is_printed)
     return bid
 
 
@@ -239,6 +240,7 @@ def apply_bidding_rules(
     i: int,
     is_near: Bool[Array, " others"],
     firm: float | None,
+    is_printed: bool = False,
 ) -> Float[Array, " targets"]:
     """Apply three rules to the costs of one agent.
 
@@ -260,12 +262,15 @@ def apply_bidding_rules(
         i: The row of the agent.
         is_near: True for the numbers of the agents in its component.
         firm: Firm penalty on targets out of reach; None where it is not called for.
+        is_printed: Apply the first rule alone: the printed auction has neither of the others.
     """
     bid: Array = table.cost[i].copy()
     is_reachable = table.is_reachable[i]
     top, span = cost_range(table, i)
     penalty = max(span, MIN_PENALTY)
     bid[~is_reachable] += top + (penalty if firm is None else firm)
+    if is_printed:
+        return bid
     bid[_claimed_by_absent(memory, i, is_near, len(bid))] += penalty
     if memory.target_index[i] >= 0:
         bid[memory.target_index[i]] -= HELD_TARGET_DISCOUNT * span

@@ -25,6 +25,7 @@ def check(mission: "Reconfiguration") -> None:
         InputError: They do; says what would do.
     """
     _check_periods(mission)
+    _check_printed(mission)
     _check_solver(mission)
     _check_noise(mission)
     _check_detectable(mission)
@@ -55,6 +56,28 @@ def _check_periods(mission: "Reconfiguration") -> None:
         if not is_auto(leg.steps) and mission.freeze_steps > leg.steps:
             reason = f"{mission.freeze_steps} is more than the {leg.steps} steps of leg {number}"
             raise InputError("plan.freeze_steps", f"{reason}; at most {leg.steps} would do")
+
+
+def _check_printed(mission: "Reconfiguration") -> None:
+    """Refuse what the printed methods do not have."""
+    if not mission.printed:
+        return
+    coasts = any(loss.body == "coast" for leg in mission.legs for loss in leg.losses)
+    joins = any(leg.joins for leg in mission.legs)
+    lacking = {
+        "obstacle": bool(mission.obstacles),
+        "model.box": mission.box is not None,
+        "plan.passive_safety": mission.passive_safety is not None,
+        "plan.assignment": mission.assignment != "auction",
+        "plan.orders": mission.orders > 1,
+        "plan.foresight_steps": bool(mission.foresight_steps),
+        "leg.lose.body": coasts,
+        "leg.join": joins,
+    }
+    for key, is_asked in lacking.items():
+        if is_asked:
+            reason = "is not in the printed methods, which plan.printed = true runs"
+            raise InputError(key, f"{reason}; leave one of the two out")
 
 
 def _check_solver(mission: "Reconfiguration") -> None:

@@ -28,7 +28,7 @@ from sato.reconfiguration.plan import (
     is_planning_due,
     remaining_cost,
 )
-from sato.reconfiguration.stopping import Commitments, controls_at
+from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
 from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
 
@@ -224,7 +224,11 @@ class _Flight:
             self.memory = claim_targets(context, context.memory)
         heard, context = context.memory.clock, context._replace(memory=self.memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
-        if self.mission.is_point_mass:
+        cautious: list[int] = []
+        if self.mission.printed:
+            now = context.instant
+            committed = {i: Commitment(now, plan.trajectory.u) for i, plan in planned.items()}
+        elif self.mission.is_point_mass:
             committed, planned, cautious = commit(context, planned, self.committed)
         else:
             held = self.committed, self.plans, heard

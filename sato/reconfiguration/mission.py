@@ -169,7 +169,9 @@ class Reconfiguration(PlannedLimits, Mission):
         "targets by auction, agent i to target i, or the optimum with all data in one place",
     ] = "auction"
     epsilon: Annotated[Automatic, PLAN, "bid increment ε; auto: w s²/2, s the least spacing"] = AUTO
-    tie_break: Annotated[float, PLAN, NotNegative, "weight w [1/m] of the tie-break"] = 0.2
+    tie_break: Annotated[
+        float, PLAN, NotNegative, "weight w [1/m] of the tie-break; if absent, 0.2, printed 0"
+    ] = LATER
     cost: Annotated[Literal["fuel", "distance"], PLAN, "cost of a target"] = "fuel"
     objective: Annotated[
         Literal["fuel", "energy"], PLAN, "fuel, or energy Δt Σ ‖u‖², that paths and targets cost"
@@ -180,10 +182,17 @@ class Reconfiguration(PlannedLimits, Mission):
     tolerance: Annotated[
         float | None, PLAN, Positive, Lt(1), "relative, of its answers; 1e-6 if absent"
     ] = None
-    bidder_ids: Annotated[bool, PLAN, Key("ids"), "bids carry the bidder; false as printed"] = True
+    printed: Annotated[
+        bool, PLAN, "the printed methods: samples alone, no commitment, the defaults as printed"
+    ] = False
+    bidder_ids: Annotated[
+        bool, PLAN, Key("ids"), "bids carry the bidder; if absent, true, printed false"
+    ] = LATER
     reset: Annotated[
-        Literal["change", "need"], PLAN, "clock starts again with new bidders, or where needed"
-    ] = "need"
+        Literal["change", "need"],
+        PLAN,
+        "clock starts again with new bidders, or where needed; if absent, need, printed change",
+    ] = LATER
     freeze_steps: Annotated[Count, PLAN, "steps before the deadline in which plans are kept"] = 0
     margin: Annotated[
         Automatic,
@@ -240,7 +249,17 @@ class Reconfiguration(PlannedLimits, Mission):
         values: dict[str, Any] = {"model": model, "chief": chief}
         if self.agents is None and isinstance(self.start, Points):
             values["agents"] = None if self.start.positions is None else len(self.start.positions)
-        if self.replan_steps is None:
+        values |= {
+            name: plain if given is None else given
+            for name, given, plain in (
+                ("bidder_ids", self.bidder_ids, not self.printed),
+                ("tie_break", self.tie_break, 0.0 if self.printed else 0.2),
+                ("reset", self.reset, "change" if self.printed else "need"),
+            )
+        }
+        if self.replan_steps is None and self.printed:
+            values["replan_steps"] = self.horizon_steps
+        elif self.replan_steps is None:
             wrong = self.disturbance, self.thrust_error, self.pointing_error
             is_exact = models.flies_model(model, chief, self.plant, self.step)
             is_disturbed = not is_exact or (any(wrong) and not self.is_point_mass)
@@ -322,7 +341,7 @@ class Reconfiguration(PlannedLimits, Mission):
         """
         if self.foresight_steps is not None and not self.is_passively_safe:
             return self.foresight_steps
-        return WHOLE_LEG if self.keeps_plans or not self.is_point_mass else 0
+        return WHOLE_LEG if self.keeps_plans or not (self.is_point_mass or self.printed) else 0
 
     @property
     def is_passively_safe(self) -> bool:
@@ -336,8 +355,13 @@ class Reconfiguration(PlannedLimits, Mission):
         Double integrators do, if they fly as modeled: nothing changes what they, or with noise
         their references, would fly.
         """
-        is_exact = self.is_point_mass and self.flies_model
+        is_exact = self.is_point_mass and self.flies_model and not self.printed
         return is_exact and self.assignment != "central" and self.orders == 1
+
+    @property
+    def commits(self) -> bool:
+        """True where agents that can stop fly only trajectories that they have found clear."""
+        return self.is_point_mass and not self.printed
 
     @property
     def has_own_clocks(self) -> bool:

@@ -34,6 +34,7 @@ class PlannedLimits(Vehicles):
     replan_steps: int
     margin: Any
     allow_undetectable: bool
+    printed: bool
     disturbance: float
     position_noise: float
     velocity_noise: float
@@ -67,7 +68,7 @@ class PlannedLimits(Vehicles):
 
         Double integrators have references if they fly as modeled, but for noise.
         """
-        if not (self.is_point_mass and self.flies_model and self.has_noise):
+        if not (self.is_point_mass and self.flies_model and self.has_noise) or self.printed:
             return None
         measured, pushed = measurement_deviations(self), largest_disturbance(self)
         return compute_deviations(self.step, *measured, pushed, steps)
@@ -116,7 +117,7 @@ class PlannedLimits(Vehicles):
 
         Others that they do not hear, which fly as far; or what rests beyond their sensing radius.
         """
-        if self.allow_undetectable:
+        if self.allow_undetectable or self.printed:
             return inf
         kept = self._distance_unheard(margin)
         unseen = self.sight - kept if self.has_unseen else inf

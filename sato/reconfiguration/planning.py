@@ -95,7 +95,7 @@ def make_plans(
         is_clear = has_one_order and planner.is_clear
         own = planner.nominal, held, k, k + clear, failures, planner.priority
         plans[i] = Plan(*own, is_clear)
-    if mission.is_point_mass:  # a trajectory for which separation was relaxed is not flown
+    if mission.commits:  # a trajectory for which separation was relaxed is not flown
         events = [event for event in events if event["kind"] == "braked"]
     return plans, events
 
@@ -119,14 +119,17 @@ def divide_horizon(
     fastest = float(mission.top_speeds.max())
     speed = fastest if isfinite(fastest) else 0.0
     S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.least_separation)))
-    margin = mission.margin + _interpolation_margin(
-        mission, leg or mission.legs[0], mission.step / S
-    )
+    if mission.printed:
+        S = 1
+    margin = mission.margin
+    if not mission.printed:
+        margin += _interpolation_margin(mission, leg or mission.legs[0], mission.step / S)
     return AvoidanceHorizon(
         mission.discretize(T, time),
         discretize_zoh(mission.linear_model, mission.step / S, T * S, time),
         mission.largest_separation + margin,
         mission.separation_scale,
+        samples_only=mission.printed,
     )
 
 

@@ -47,6 +47,10 @@ RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all ca
 RELAXATIONS_FOR_DRIFTS: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
     ("half-spaces", "same", False),
 )
+# The printed method has none; without one an agent would have nothing to fly.
+RELAXATIONS_AS_PRINTED: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
+    ("separation", "nominal", False),
+)
 MAX_SOLVES_IN_TURN = 4
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
@@ -273,6 +277,8 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
         agent = agent.restarted
         nominal = agent.control_points
     sides = PASSING_SIDES[nominal.shape[-1]] if collides and begins else ("same",)
+    if agent.horizon.samples_only:
+        sides = ("nominal",)
     tried = [solve_around(agent, above, nominal, side) for side in sides]
     feasible = [result for result in tried if result is not None]
     agent = agent._replace(solve_count=agent.solve_count + len(sides))
@@ -283,6 +289,8 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     relaxations = RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER
     if agent.passive is not None:  # the next iteration begins nearer to what is asked
         relaxations = RELAXATIONS_FOR_DRIFTS
+    if agent.horizon.samples_only:
+        relaxations = RELAXATIONS_AS_PRINTED
     for relaxation, side, stops in relaxations:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         if stops:  # come to rest where it is, as nearly as it can
