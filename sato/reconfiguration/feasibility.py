@@ -66,8 +66,8 @@ def _check_printed(mission: "Reconfiguration") -> None:
     joins = any(leg.joins for leg in mission.legs)
     lacking = {
         "obstacle": bool(mission.obstacles),
-        "model.box": mission.box is not None,
-        "plan.passive_safety": mission.passive_safety is not None,
+        "model.box_m": mission.box is not None,
+        "plan.passive_safety_m": mission.passive_safety is not None,
         "plan.assignment": mission.assignment != "auction",
         "plan.orders": mission.orders > 1,
         "plan.foresight_steps": bool(mission.foresight_steps),
