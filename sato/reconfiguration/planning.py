@@ -154,6 +154,7 @@ def plan_alone(
     is_nonlinear = mission.nonlinear_model is not None
     # Given targets need no agreement: others hear of a reset at the next replan.
     is_given = mission.assignment == "given"
+    is_fresh = mission.keeps_plans or mission.is_passively_safe or mission.printed
     first_clock = heard_clock if is_given else np.minimum(heard_clock, memory.clock)
     ahead = np.minimum(leg.steps - first_clock, mission.foresight)
     ahead = np.maximum(ahead, mission.horizon_steps)
@@ -199,7 +200,7 @@ def plan_alone(
             )
             if obstacles is not None and rest is None:
                 planner = go_around(planner)
-            if rest is not None and not (mission.keeps_plans or mission.is_passively_safe):
+            if rest is not None and not is_fresh:
                 # Begin with the previous plan, where it kept clear of an agent by another way.
                 prior = transfer.simulate(solo.x[0], rest)
                 if np.abs(prior.x - solo.x).max() > relative * clearance:
