@@ -1,4 +1,4 @@
-# Targets: demo, test, lint, docs, wheel. Each creates .venv and installs what it needs, once.
+# Targets: demo, test, lint, docs, lessons, wheel. Each creates .venv and installs what it needs, once.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -8,7 +8,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint docs wheel
+.PHONY: demo test lint docs lessons wheel
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -32,6 +32,12 @@ lint: .venv/installed-dev
 docs: .venv/installed-dev
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 	@echo "The pages are in docs/_build/html/index.html"
+
+# Execute the lessons in full, and build the pages with their outputs.
+lessons: .venv/installed-dev
+	$(BIN)/python -m sphinx -W --keep-going -b html -D nb_execution_mode=force docs docs/_build/html
+	@echo "The lessons are in docs/_build/html/lessons/index.html"
+	@echo "The notebooks with outputs are in docs/_build/jupyter_execute/lessons"
 
 # Build the wheel, install it into an empty environment, and run every built-in scenario from it.
 wheel: .venv/installed-dev

@@ -1,4 +1,4 @@
-"""Configuration of the documentation: `make docs`."""
+"""Configuration of the documentation: `make docs`, and `make lessons` to execute the lessons."""
 
 from importlib.metadata import version as version_of
 
@@ -7,7 +7,7 @@ author = "The sato developers"
 version = release = version_of("sato-swarm")
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
@@ -15,7 +15,12 @@ extensions = [
 ]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build"]
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "off"  # `make lessons` sets "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120  # of a cell [s]
+nb_merge_streams = True
+exclude_patterns = ["_build", "conf.py"]
 suppress_warnings = ["myst.header"]
 
 default_role = "code"
