@@ -26,7 +26,12 @@ from dynamics.plant import LinearPlant
 from sato.figures.style import ISOLATED, marker_style, style_components
 from sato.reconfiguration.check.fuel import compute_step_fuel
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
-from sato.reconfiguration.figures import FIGURES, ORBIT_FIGURES
+from sato.reconfiguration.figures import (
+    FIGURES,
+    ORBIT_FIGURES,
+    PAIR_FIGURES,
+    make_figures,
+)
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import interpolate_positions
 from sato.reconfiguration.leg import Leg, Loss
@@ -90,7 +95,12 @@ RUNS = {
     "only start": (make_mission, 1),
 }
 IN_ORBIT = [name for name in RUNS if "orbit" in name]
-EVERY = [*product(FIGURES, RUNS), *product(ORBIT_FIGURES, IN_ORBIT)]
+IN_PAIRS = [name for name in RUNS if "only" not in name]
+EVERY = [
+    *product(FIGURES, RUNS),
+    *product(PAIR_FIGURES, IN_PAIRS),
+    *product(ORBIT_FIGURES, IN_ORBIT),
+]
 
 
 @cache
@@ -106,7 +116,7 @@ def flown(name):
 
 @cache
 def drawn(name, run):
-    return draw((FIGURES | ORBIT_FIGURES)[name], flown(run)[1])
+    return draw((FIGURES | PAIR_FIGURES | ORBIT_FIGURES)[name], flown(run)[1])
 
 
 @pytest.mark.parametrize(("name", "run"), EVERY)
@@ -189,6 +199,55 @@ def test_half_plane_is_tangent_and_clears_the_control_points():
     assert (side * (control.get_xydata() @ normal) >= 0.2).all()
 
 
+@pytest.mark.parametrize(("distance", "said"), [(0.3, "closest: 0.3 m"), (0.1, "a collision")])
+def test_half_space_is_of_the_closest_pair_as_flown(distance, said):
+    mission = make_crossing(distance)
+    run = recorded(mission, fly_straight(mission, own_targets=True))
+    record = ReconfigurationRecord.from_data(run.recorded, mission)
+    figure = draw(PAIR_FIGURES["half-space"], record)
+    [mark] = [line for line in figure.axes[0].lines if line.get_marker() == "v"]
+    assert said in mark.get_label()
+    assert np.linalg.norm(mark.get_xydata()) == pytest.approx(distance, rel=1e-6)
+    path = line(figure.axes[0], "$j$ relative to $i$, as flown").T
+    flown_path = record.frames.position[:, 1] - record.frames.position[:, 0]
+    gap = np.linalg.norm(path[:, None] - flown_path, axis=2).min(axis=1)
+    assert gap[::6].max() < 1e-9  # six points a step, the first of which is recorded
+
+
+def test_half_space_is_left_out_where_no_two_flew_at_a_time():
+    run, record = flown("only start")
+    assert PAIR_FIGURES.keys().isdisjoint(make_figures(run.recorded, record.mission))
+
+
+def test_time_series_of_a_leg_end_at_its_targets():
+    record, axes = flown("pair")[1], drawn("time-series", "pair").axes
+    thrust, speed, place, away = axes[0], axes[2], axes[4], axes[6]
+    frames = record.frames
+    np.testing.assert_array_equal(line(place, "agent 1")[1], frames.position[:, 1, 0])
+    np.testing.assert_array_equal(line(speed, "agent 1")[1], frames.velocity[:, 1, 0])
+    np.testing.assert_array_equal(line(thrust, "agent 1")[1], frames.applied_control[:, 1, 0])
+    start = np.linalg.norm(frames.position[0, 1] - record.targets[0, 1, :2])
+    distance = line(away, "agent 1")[1]
+    assert distance[0] == pytest.approx(start)
+    assert distance[-1] <= record.mission.position_tolerance
+
+
+def test_bands_of_a_large_swarm_hold_the_agents_that_are_drawn():
+    axes = drawn("time-series", "orbit").axes
+    for ax in axes[:9]:
+        widest = ax.collections[0].get_paths()[0].vertices
+        chosen = [line for line in ax.lines if line.get_label().startswith("agent")]
+        assert len(chosen) == 3
+        values = np.concatenate([line.get_ydata() for line in chosen])
+        assert np.nanmin(values) >= widest[:, 1].min() and np.nanmax(values) <= widest[:, 1].max()
+
+
+def test_fuel_figure_tells_its_bounds_apart():
+    title = drawn("fuel", "pair").axes[0].get_title(loc="left")
+    _, taken, asked = title.splitlines()
+    assert "in the time taken" in taken and "in the time asked for" in asked
+
+
 def test_instants_of_an_orbit_are_thirds_of_its_legs_in_the_orbital_plane():
     axes, frames = drawn("instants", "orbit").axes, flown("orbit")[1].frames
     minutes = [0, 7, 13, 20, 20, 24, 28, 32]  # legs of 20 and of 12 steps of a minute
@@ -237,13 +296,14 @@ def test_delta_v_figure_shows_fuel_and_its_lorenz_curve():
 
 def test_all_figures_are_written_as_png_or_pdf(tmp_path):
     paths = flown("orbit")[0].plot(tmp_path / "new" / "folder")
-    assert [path.name for path in paths] == [f"{name}.png" for name in FIGURES | ORBIT_FIGURES]
+    names = FIGURES | PAIR_FIGURES | ORBIT_FIGURES
+    assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         with Image.open(path) as image:
             assert image.width > 600 and len(image.convert("RGB").getcolors(1 << 20)) > 20
     before = dict(matplotlib.rcParams)
     for path in flown("plane")[0].plot(tmp_path, pdf=True):
-        assert path.stem in FIGURES and path.read_bytes().startswith(b"%PDF")
+        assert path.stem in FIGURES | PAIR_FIGURES and path.read_bytes().startswith(b"%PDF")
     assert dict(matplotlib.rcParams) == before
 
 

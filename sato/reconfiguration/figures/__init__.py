@@ -4,7 +4,13 @@ from functools import partial
 
 from sato.interfaces import FigureFactories
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
-from sato.reconfiguration.figures import drifts, half_space, measures, snapshots
+from sato.reconfiguration.figures import (
+    drifts,
+    half_space,
+    measures,
+    snapshots,
+    time_series,
+)
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.mission import Reconfiguration
 from sato.run_data import RunData
@@ -13,10 +19,11 @@ FIGURES = {
     "stages": snapshots.plot_stages,
     "first-leg": snapshots.plot_first_leg,
     "trajectories": snapshots.plot_trajectories,
-    "half-space": half_space.plot_half_space,
+    "time-series": time_series.plot_time_series,
     "separation": measures.plot_separation,
     "fuel": measures.plot_fuel,
 }
+PAIR_FIGURES = {"half-space": half_space.plot_half_space}
 ORBIT_FIGURES = {
     "instants": snapshots.plot_instants,
     "space": snapshots.plot_space,
@@ -25,9 +32,15 @@ ORBIT_FIGURES = {
 
 
 def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
-    """Prepare the figures of a run; those of `ORBIT_FIGURES` only where it has a chief."""
+    """Prepare the figures of a run.
+
+    Those of `PAIR_FIGURES` are only where two vehicles flew at a time, those of `ORBIT_FIGURES`
+    where there is a chief, and drifts where the mission asks for passive safety.
+    """
     record = ReconfigurationRecord.from_data(data, mission)
-    drawn = FIGURES if record.variables.chief is None else FIGURES | ORBIT_FIGURES
+    drawn = FIGURES | (PAIR_FIGURES if half_space.has_encounter(record) else {})
+    if record.variables.chief is not None:
+        drawn = drawn | ORBIT_FIGURES
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}

@@ -1,6 +1,6 @@
 """Collision half-space of an encounter, from circle to tangent [Morgan2016, Fig. 2]."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -9,49 +9,89 @@ from matplotlib.patches import Circle, Polygon
 from numpy import ndarray as Array
 from scipy.spatial import ConvexHull
 
-from dynamics.trajectory_geometry import control_points, hull_distance
+from dynamics.trajectory_geometry import (
+    ClosestApproach,
+    control_points,
+    evaluate_bezier,
+    hull_distance,
+)
 from sato.figures.axes import add_legend, add_titles
-from sato.figures.style import BLUE, DARK_GRAY, GREEN, RED
+from sato.figures.style import BLUE, DARK_GRAY, GREEN, ORANGE, RED
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
+from sato.reconfiguration.figures.scene import POINTS_PER_STEP
 
-# Control points of an encounter that is drawn where none was close, in collision radii.
-EXAMPLE = np.array([[1.5, 0.9], [1.1, 1.0], [0.6, 1.25], [0.2, 1.6]])
-AVOIDED_RANGE = (1.4, 3.0)  # distances at which agents see each other coming, in collision radii
+SEEN_DISTANCE = 1.4  # of a step that is drawn from the other agent, at least, if any [R]
+SHOWN_STEPS = 12  # before the step that is drawn, and as many after the closest approach
+
+
+class Encounter(NamedTuple):
+    """Flown trajectory of agent j relative to i, in the plane of their encounter."""
+
+    pair: tuple[int, int]
+    radius: float  # that the two keep [m]
+    start: float  # of the step that is drawn [s]
+    points: Float[Array, "4 2"]  # control points of this step [m]
+    path: Float[Array, "k 2"]  # of this and the steps about it [m]
+    closest: Float[Array, " 2"]  # at the closest approach [m]
+    distance: float  # least [m]
+
+
+def has_encounter(record: ReconfigurationRecord) -> bool:
+    """Tell whether any two agents were there in one step."""
+    return _find_closest(record).piece >= 0
 
 
 def plot_half_space(record: ReconfigurationRecord) -> Figure:
-    """Plot the prohibited circle, its tangent half-plane, and the half-plane of a whole step."""
-    radius = record.mission.largest_separation
-    example = radius * EXAMPLE
-    points, path = _find_closest_encounter(record) or (example, example)
-    distance, nearest = hull_distance(points)
-    figure = Figure(figsize=(9.0, 3.9), layout="constrained")
+    """Plot the pair that came closest: prohibited circle, and half-planes by its flown step."""
+    found = find_encounter(record)
+    radius, points = found.radius, found.points
+    unit = "[m]" if record.mission.separation_axes is None else "[m], scaled to a ball"
+    figure = Figure(figsize=(9.0, 4.1), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     circle, tangent, whole = axes
     color = {"fc": RED, "alpha": 0.18, "lw": 0, "label": f"prohibited, $R_{{col}}$ = {radius:g} m"}
     circle.add_patch(Circle((0, 0), radius, **color))
-    _draw_half_plane(tangent, radius, points[0] / np.linalg.norm(points[0]), color)
+    _draw_half_plane(tangent, radius, points[0], color)
     tangent.plot(*np.array([[0, 0], points[0]]).T, color=DARK_GRAY, lw=0.7, ls=":")
-    _draw_half_plane(whole, radius, nearest / distance, color)
-    whole.plot(*points.T, "D", ms=4, color=GREEN, mew=0, label="control points of a step")
+    _draw_half_plane(whole, radius, hull_distance(points)[1], color)
+    whole.plot(*points.T, "D", ms=4, color=GREEN, mew=0, label="control points of the step")
     hull = points[ConvexHull(points, qhull_options="QJ").vertices]
     whole.add_patch(Polygon(hull, fc=GREEN, alpha=0.15, ec=GREEN, lw=0.8))
     for ax in axes:
         ax.add_patch(Circle((0, 0), radius, fill=False, ec=RED, lw=0.8))
-        ax.plot(*path.T, color=BLUE, lw=0.9, ls="--", label="trajectory of $j$ relative to $i$")
+        ax.plot(*found.path.T, color=BLUE, lw=0.9, ls="--", label="$j$ relative to $i$, as flown")
         ax.plot(0, 0, "s", ms=6, color=DARK_GRAY, label=r"agent $i$, nominal $\bar{x}_i$")
-        ax.set(aspect="equal", xlabel="[m]")
+        ax.set(aspect="equal", xlabel=unit)
     for ax in (circle, tangent):
         ax.plot(*points[0], "o", ms=7, color=BLUE, label=r"agent $j$, nominal $\bar{x}_j$")
+    name = f"closest: {found.distance:.6g} m"
+    name += ", a collision" * bool(found.distance < radius * (1 - 1e-6))
+    mark: dict[str, Any] = {"ms": 6, "color": ORANGE, "mec": DARK_GRAY, "mew": 0.6, "zorder": 5}
+    circle.plot(*found.closest, "v", **mark, label=name)
     reach = 1.1 * max(2.0 * radius, float(np.abs(points).max()))
-    circle.set(xlim=(-reach, reach), ylim=(-reach, reach), ylabel="[m]")
-    titles = ["prohibited circle", "convexified: tangent half-plane", "half-plane of a whole step"]
+    circle.set(xlim=(-reach, reach), ylim=(-reach, reach), ylabel=unit)
+    titles = [
+        "prohibited circle",
+        "convexified: tangent half-plane",
+        "half-plane for the whole step",
+    ]
     add_titles(axes, titles)
+    i, j = found.pair
+    text = (
+        f"closest pair of the run, i = {i} and j = {j}; half-planes by the step that it flew from"
+    )
+    figure.suptitle(f"{text} {found.start:g} s on", fontsize=9)
     add_legend(figure)
     return figure
 
 
-def _draw_half_plane(ax: Any, radius: float, n: Float[Array, " 2"], color: dict[str, Any]) -> None:
+def _draw_half_plane(
+    ax: Any, radius: float, direction: Float[Array, " 2"], color: dict[str, Any]
+) -> None:
+    """Draw the half-plane that is tangent to the circle in a direction; none for zero."""
+    if not direction.any():
+        return
+    n = direction / np.linalg.norm(direction)
     edge, along, far = radius * n, np.array([-n[1], n[0]]), 60 * radius
     ends = np.array([edge + far * along, edge - far * along])
     ax.add_patch(Polygon([*ends, *(ends[::-1] - far * n)], **color))
@@ -59,30 +99,39 @@ def _draw_half_plane(ax: Any, radius: float, n: Float[Array, " 2"], color: dict[
     ax.annotate("", edge + 0.4 * radius * n, edge, arrowprops={"arrowstyle": "->", "color": RED})
 
 
-def _find_closest_encounter(
-    record: ReconfigurationRecord,
-) -> tuple[Float[Array, "4 2"], Float[Array, "k 2"]] | None:
-    # The two agents that came closest, some steps before, if they were near enough to avoid each
-    # other: the control points of a step of their relative trajectory, and more of it, in the
-    # plane of their encounter.
-    radius, d = record.mission.largest_separation, record.mission.axes
-    found, _ = record.separations
-    if not len(found.distance) or not found.minimum.distance <= 2 * radius:
-        return None
-    i, j = found.minimum.pair
-    near = found.minimum.piece // record.pieces_per_step
+def find_encounter(record: ReconfigurationRecord) -> Encounter:
+    """Find the closest approach of all, and the last step before it that is well outside R.
+
+    Where there is none, it is the step that stays farthest outside. In space, all is projected
+    on the plane that fits the step and the closest approach best.
+    """
+    mission, d = record.mission, record.mission.axes
+    least = _find_closest(record)
+    i, j = least.pair
+    radius, near = float(mission.radii[[i, j]].mean()), least.piece // record.pieces_per_step
     x = record.state[:, j] - record.state[:, i]
-    alive = record.frames.alive[:, i] & record.frames.alive[:, j]
-    first = int(np.flatnonzero(~alive[: near + 1]).max(initial=-1)) + 1
-    distance = np.linalg.norm(x[first : near + 1, :d], axis=1)
-    low, high = AVOIDED_RANGE
-    far = np.flatnonzero((distance >= low * radius) & (distance <= high * radius))
-    if not len(far):
-        return None
-    k = first + int(far[-1])
-    points = control_points(x[k : k + 2, :d], x[k : k + 2, d:], record.mission.step)[0]
-    plane = np.eye(2) if d == 2 else np.linalg.svd(points)[2][:2]
-    if not hull_distance(points @ plane.T)[0] > radius:
-        return None
-    around = slice(max(first, k - 12), 2 * near - k + 13)
-    return points @ plane.T, x[around, :d][alive[around]] @ plane.T
+    p, v = mission.scale_separations(x[:, :d]), mission.scale_separations(x[:, d:])
+    pieces = control_points(p, v, mission.step)
+    is_there = np.isfinite(pieces).all(axis=(1, 2))
+    is_there &= (record.frames.alive | record.is_adrift)[:-1][:, [i, j]].all(axis=1)
+    first = int(np.flatnonzero(~is_there[:near]).max(initial=-1)) + 1
+    away, _ = hull_distance(pieces[first : near + 1])
+    clear = np.flatnonzero(away >= SEEN_DISTANCE * radius)
+    k = first + int(clear[-1] if len(clear) else away.argmax())
+    part = (least.piece % record.pieces_per_step + least.fraction) / record.pieces_per_step
+    closest = evaluate_bezier(pieces[near], float(part))
+    plane = np.eye(2) if d == 2 else np.linalg.svd([*pieces[k], closest])[2][:2]
+    shown = np.arange(max(first, k - SHOWN_STEPS), min(2 * near - k + SHOWN_STEPS, len(pieces)))
+    shown = shown[is_there[shown]]
+    parts = np.tile(np.arange(POINTS_PER_STEP) / POINTS_PER_STEP, len(shown))
+    path = evaluate_bezier(pieces[np.repeat(shown, POINTS_PER_STEP)], parts)
+    distance = least.distance * radius if mission.has_own_separations else least.distance
+    return Encounter(
+        (i, j), radius, float(record.time[k]), pieces[k] @ plane.T, path @ plane.T,
+        closest @ plane.T, distance,
+    )  # fmt: skip
+
+
+def _find_closest(record: ReconfigurationRecord) -> ClosestApproach:
+    is_relative = record.mission.has_own_separations
+    return (record.relative_separations if is_relative else record.separations)[0].minimum
