@@ -56,11 +56,14 @@ def test_six_vehicles_take_about_9_kbit_s_from_a_neighbor(edges):
     assert load(6, 2, 1.2) == pytest.approx(9680.0)
 
 
-def test_load_of_thirty_vehicles_is_below_the_measured_one_with_headers():
+def test_headers_of_ros_add_up_to_the_load_measured_for_thirty_vehicles():
     # Pairs to remove are drawn evenly from 1 … 26, of the 435 edges: 28.1 neighbors.
-    received = load(30, 2, 2.0, neighbors=2 * (435 - 13.5) / 30)
-    assert received == pytest.approx(1818.6e3, rel=1e-4)
-    assert 0.8 < received / 2161e3 < 1.0
+    neighbors, period, rounds = 2 * (435 - 13.5) / 30, 2.0, 30 * 2
+    payload = load(30, 2, period, neighbors)
+    assert payload == pytest.approx(1818.6e3, rel=1e-4)
+    header, length = 8 * (4 + 8 + 4), 8 * 4  # number, time and empty frame; of a list [bit]
+    positions, bids = header * Radio().message_rate, (header + 2 * length) * rounds / period
+    assert payload + neighbors * (positions + bids) == pytest.approx(2161e3, rel=1e-3)
 
 
 def test_eight_hundred_vehicles_saturate_54_mbit_s_each():
