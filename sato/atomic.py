@@ -1,9 +1,9 @@
-"""Writing of files and folders, whole or not at all."""
+"""Writing of files and folders, one or several together, whole or not at all."""
 
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from errno import EEXIST
 from pathlib import Path
@@ -41,3 +41,44 @@ def replace_atomically(path: Path) -> Iterator[Path]:
             shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
+@contextmanager
+def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
+    """Yield a new folder to write files to, and move all into a folder if all went well.
+
+    They replace files of the same name, and others that are old. After an error or Ctrl-C all
+    are as before. A process that is killed while files are moved may leave a part of the new
+    ones, or of the former ones, and never parts of both.
+
+    Args:
+        folder: Made if it is missing.
+        old: Files in the folder that are removed too.
+
+    Raises:
+        OSError: Nothing can be written there; the error names the folder.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as place:
+            new, former = Path(place, "new"), Path(place, "former")
+            new.mkdir()
+            former.mkdir()
+            yield new
+            names = {path.name for path in new.iterdir()}
+            gone = {path.name for path in old} | {
+                name for name in names if (folder / name).exists()
+            }
+            try:
+                for name in gone:
+                    os.rename(folder / name, former / name)
+                for name in names:
+                    os.rename(new / name, folder / name)
+            except BaseException:
+                for name in names - {path.name for path in new.iterdir()}:
+                    (folder / name).unlink()
+                for path in former.iterdir():
+                    os.rename(path, folder / path.name)
+                raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(folder)) from error

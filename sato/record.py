@@ -29,6 +29,7 @@ from sato.scenario.errors import InputError
 from sato.systems import load_system
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+DRAWN_FORMATS = ("png", "pdf", "mp4", "gif")
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
@@ -92,6 +93,8 @@ def collect_run_data(
 def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
+    Figures and films of another run that are there are removed: none is ever beside another's.
+
     Raises:
         OSError: There is no room, or no permission; what was there is kept.
     """
@@ -99,9 +102,23 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
     with replace_atomically(folder / RUN_FILE) as file:
         file.write_bytes(data.to_netcdf())
-        (folder / SUMMARY_FILE).unlink(missing_ok=True)  # no run is ever beside another's
+        own = find_drawn(folder, data.attrs.get("digest", "without a digest"))
+        for path in {*find_drawn(folder), folder / SUMMARY_FILE}.difference(own):
+            path.unlink(missing_ok=True)
     with replace_atomically(folder / SUMMARY_FILE) as file:
         file.write_text(text, encoding="utf-8")
+
+
+def drawn_mark(digest: object = "") -> str:
+    """Return the mark in the metadata of figures and films, by which those of a run are found."""
+    return f"drawn by sato from run {digest}"
+
+
+def find_drawn(folder: Path, digest: object = "") -> list[Path]:
+    """Find the figures and films in a folder: all, or those of the run with a digest."""
+    mark = drawn_mark(digest).encode()
+    paths = (path for end in DRAWN_FORMATS for path in sorted(folder.glob(f"*.{end}")))
+    return [path for path in paths if mark in path.read_bytes()]
 
 
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from errno import EIO
 from pathlib import Path
 from subprocess import CalledProcessError
@@ -13,14 +12,15 @@ from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sato.atomic import replace_atomically
+from sato.atomic import replace_atomically, replace_together
 from sato.figures.style import STYLE
+from sato.record import drawn_mark, find_drawn
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
 from sato.systems import load_system
 
 MAX_FRAMES = 300
-_MARK = "figure of a run, by sato"  # in the metadata of a figure, by which old ones are found
+FIGURE_FORMATS = (".png", ".pdf")
 
 
 def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
@@ -30,24 +30,28 @@ def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
         return {name: draw() for name, draw in figures.items()}
 
 
-def write_figures(figures: Mapping[str, Figure], directory: Path, pdf: bool = False) -> list[Path]:
+def write_figures(
+    figures: Mapping[str, Figure], directory: Path, pdf: bool = False, digest: object = ""
+) -> list[Path]:
     """Write figures into a directory as PNG, or PDF, in place of all that were written before.
 
     The directory is made if it is missing. Where one cannot be written, all that were there are
     kept.
+
+    Args:
+        figures: By name.
+        directory: Folder to write.
+        pdf: Write PDF.
+        digest: Digest of the data of their run, which their metadata hold.
     """
-    directory.mkdir(parents=True, exist_ok=True)
-    drawn = (path for end in ("png", "pdf") for path in directory.glob(f"*.{end}"))
-    old = {path for path in drawn if _MARK.encode() in path.read_bytes()}
-    paths = [directory / f"{name}.{'pdf' if pdf else 'png'}" for name in figures]
-    with ExitStack() as written, matplotlib.rc_context(STYLE):
-        for path, figure in zip(paths, figures.values(), strict=True):
+    old = [path for path in find_drawn(directory) if path.suffix in FIGURE_FORMATS]
+    names = [f"{name}.{'pdf' if pdf else 'png'}" for name in figures]
+    metadata = {"Creator" if pdf else "Software": drawn_mark(digest)}
+    with replace_together(directory, old) as new, matplotlib.rc_context(STYLE):
+        for name, figure in zip(names, figures.values(), strict=True):
             FigureCanvasAgg(figure)
-            new = written.enter_context(replace_atomically(path))
-            figure.savefig(new, metadata={"Creator" if pdf else "Software": _MARK})
-    for path in old - set(paths):
-        path.unlink()
-    return paths
+            figure.savefig(new / name, metadata=metadata)
+    return [directory / name for name in names]
 
 
 def animate(
@@ -83,8 +87,9 @@ def animate(
         raise InputError("", f"runs of {system.name} have no animation, {figures}")
     # Browsers and slides play even sizes and yuv420p.
     even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"]
-    has_ffmpeg = shutil.which("ffmpeg") is not None
-    writer = FFMpegWriter(fps, extra_args=even) if has_ffmpeg else PillowWriter(fps)
+    mark, has_ffmpeg = drawn_mark(data.attrs.get("digest", "")), shutil.which("ffmpeg") is not None
+    movie = FFMpegWriter(fps, extra_args=even, metadata={"comment": mark})
+    writer = movie if has_ffmpeg else PillowWriter(fps)
     path = directory / ("run.mp4" if has_ffmpeg else "run.gif")
     with matplotlib.rc_context(STYLE), replace_atomically(path) as file:
         animation = system.animation(data, mission)
@@ -100,4 +105,12 @@ def animate(
             if isinstance(error.__context__, KeyboardInterrupt):  # ffmpeg got it too
                 raise error.__context__ from None
             raise OSError(EIO, "ffmpeg could not write the film: is the disk full?") from error
+        if not has_ffmpeg:
+            _add_comment(file, mark.encode())
     return path
+
+
+def _add_comment(gif: Path, text: bytes) -> None:
+    """Add a comment of at most 255 bytes to a GIF, before its last byte, which ends it."""
+    contents = gif.read_bytes()
+    gif.write_bytes(contents[:-1] + b"\x21\xfe" + bytes([len(text)]) + text + b"\0" + contents[-1:])

@@ -94,7 +94,8 @@ class Run:
         """Write the figures of the run as PNG, or PDF, in place of figures of earlier runs."""
         from sato.render import write_figures
 
-        return write_figures(self.figures(), Path(directory), pdf)
+        digest = self.recorded.attrs.get("digest", "")
+        return write_figures(self.figures(), Path(directory), pdf, digest)
 
     def animate(self, directory: str | Path, **options: Any) -> Path:
         """Write an animation of the run; options as in `sato.render.animate`."""

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from sato.atomic import replace_atomically
+from sato.atomic import replace_atomically, replace_together
 
 WRITE_AND_DIE = """
 import os, sys
@@ -70,3 +70,83 @@ def test_a_folder_of_any_name_is_replaced_or_kept(tmp_path, name, monkeypatch):
     with pytest.raises(KeyboardInterrupt), replace_atomically(tmp_path / name) as new:
         new.mkdir()
     assert [p.name for p in (tmp_path / name).iterdir()] == ["a"]
+
+
+def contents(folder):
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def write_all(folder, fails=lambda: None):
+    with replace_together(folder, [folder / "old"]) as new:
+        for name in ("a", "b", "c"):
+            (new / name).write_text("new")
+        fails()
+
+
+def test_files_are_replaced_together_and_old_ones_go(tmp_path):
+    for name in ("a", "b", "old", "mine"):
+        (tmp_path / name).write_text("former")
+    write_all(tmp_path)
+    assert contents(tmp_path) == dict.fromkeys("abc", "new") | {"mine": "former"}
+
+
+@pytest.mark.parametrize("count", range(7))
+def test_files_stay_together_wherever_their_replacement_stops(tmp_path, count, monkeypatch):
+    former = dict.fromkeys(("a", "b", "old"), "former")
+    for name, text in former.items():
+        (tmp_path / name).write_text(text)
+    moves, rename = iter(range(count)), os.rename
+
+    def stop(*paths):
+        if next(moves, None) is None:
+            monkeypatch.setattr(os, "rename", rename)
+            raise KeyboardInterrupt
+        rename(*paths)
+
+    monkeypatch.setattr(os, "rename", stop)
+    if count == 6:  # three are moved away, and three into place
+        write_all(tmp_path)
+        assert contents(tmp_path) == dict.fromkeys("abc", "new")
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            write_all(tmp_path)
+        assert contents(tmp_path) == former
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from sato.atomic import replace_together
+count, rename = int(sys.argv[2]), os.rename
+def die(*paths):
+    global count
+    if count == 0:
+        os.kill(os.getpid(), 9)
+    count -= 1
+    rename(*paths)
+os.rename = die
+folder = Path(sys.argv[1])
+with replace_together(folder) as new:
+    for name in ("a", "b"):
+        (new / name).write_text("new")
+"""
+
+
+@pytest.mark.parametrize("count", range(4))
+def test_a_process_killed_amid_a_replacement_leaves_no_mixture(tmp_path, count):
+    for name in ("a", "b"):
+        (tmp_path / name).write_text("former")
+    subprocess.run([sys.executable, "-c", KILLED, tmp_path, str(count)])
+    left = {path.read_text() for path in tmp_path.iterdir() if path.is_file()}
+    assert len(left) < 2
+
+
+def test_an_error_leaves_all_files_and_names_their_folder(tmp_path):
+    (tmp_path / "a").write_text("former")
+
+    def fail():
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space") as caught:
+        write_all(tmp_path, fail)
+    assert caught.value.filename == str(tmp_path) and contents(tmp_path) == {"a": "former"}

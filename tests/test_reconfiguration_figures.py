@@ -35,6 +35,7 @@ from sato.reconfiguration.figures import (
 from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import interpolate_positions
 from sato.reconfiguration.leg import Leg, Loss
+from sato.record import drawn_mark, find_drawn
 
 LETTERS = """
 [[leg]]
@@ -319,6 +320,7 @@ def test_animation_is_a_gif_without_ffmpeg(kind, tmp_path, monkeypatch):
         film.seek(6)
         assert film.convert("RGB").tobytes() != first
     assert told == [(i + 1, 7) for i in range(7)]
+    assert find_drawn(tmp_path, flown(kind)[0].recorded.attrs["digest"]) == [path]
 
 
 def test_animation_is_an_mp4_with_ffmpeg(tmp_path, monkeypatch):
@@ -339,14 +341,28 @@ def test_animation_is_an_mp4_with_ffmpeg(tmp_path, monkeypatch):
 def test_a_full_disk_leaves_the_figures_and_the_film_that_were_there(method, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
     options = {} if method == "plot" else {"frames": 2}
-    before = {name: b"figure of a run, by sato" for name in ("run.gif", "stages.png", "old.png")}
+    before = {name: drawn_mark().encode() for name in ("run.gif", "stages.png", "old.png")}
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)
     with file_size_limit(1000), pytest.raises(OSError, match="File too large") as caught:
         getattr(flown("plane")[0], method)(tmp_path, **options)
-    first = "stages.png" if method == "plot" else "run.gif"
-    assert caught.value.filename == str(tmp_path / first)
+    assert caught.value.filename == str(tmp_path if method == "plot" else tmp_path / "run.gif")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_figures_and_films_of_another_run_do_not_stay_beside_a_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    (tmp_path / "mine.png").write_bytes(b"of my own")
+    first, other = flown("pair")[0], flown("plane")[0]
+    first.plot(tmp_path)
+    first.animate(tmp_path, frames=2)
+    drawn_files = set(find_drawn(tmp_path))
+    assert {path.suffix for path in drawn_files} == {".png", ".gif"}
+    first.save(tmp_path)  # they are its own
+    assert set(find_drawn(tmp_path)) == drawn_files
+    other.save(tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["mine.png", "run.nc", "summary.json"]
 
 
 def test_an_ffmpeg_that_fails_is_told_and_leaves_the_film(tmp_path, monkeypatch):
