@@ -1,4 +1,4 @@
-# Targets: demo, test, lint, docs, lessons, wheel. Each creates .venv and installs what it needs, once.
+# Targets: demo, test, lint, docs, lessons, wheel, three. Each creates .venv and installs what it needs.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -8,7 +8,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint docs lessons wheel
+.PHONY: demo test lint docs lessons wheel three
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -46,6 +46,16 @@ wheel: .venv/installed-dev
 	$(PYTHON) -m venv build/wheel/venv
 	build/wheel/venv/bin/python -m pip install --quiet build/wheel/*.whl
 	cd build/wheel && ../../$(BIN)/python ../../scripts/try_wheel.py venv/bin/sato
+
+# Bundle the parts of three.js that the player uses; the result is kept in the repository.
+THREE := three@0.187.0 esbuild@0.28.2
+three:
+	rm -rf build/three && mkdir -p build/three
+	npm install --silent --no-audit --no-fund --prefix build/three $(THREE)
+	cp sato/player/three.js build/three/entry.js
+	build/three/node_modules/.bin/esbuild build/three/entry.js --bundle --minify --format=iife \
+		--global-name=THREE --legal-comments=eof --log-level=warning --outfile=sato/player/three.min.js
+	cp build/three/node_modules/three/LICENSE sato/player/three-LICENSE.txt
 
 .venv/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed: make PYTHON=/path/to/it")'

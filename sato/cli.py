@@ -146,9 +146,29 @@ def animate(folder: RunFolder) -> None:
 
 
 @app.command()
+def player(
+    folder: RunFolder,
+    out: Annotated[
+        Path | None, Option("--out", "-o", metavar="FILE.html", help="DIR/player.html, if absent.")
+    ] = None,
+) -> None:
+    """Write a run as one HTML file, which plays in a browser without a network."""
+    from sato.console import progress_bar
+    from sato.player import DEFAULT_NAME
+
+    path = out or _run_folder(folder) / DEFAULT_NAME
+    ensure_writable(path.parent)
+    with progress_bar("writing the player"):
+        sato.load(folder).player(path)
+    echo(str(path))
+
+
+@app.command()
 def export(
     folder: RunFolder,
-    format: Annotated[str, Option(metavar="oem|csv", help="CCSDS OEM, or one table.")] = "oem",
+    format: Annotated[
+        str, Option(metavar="oem|csv|rrd", help="CCSDS OEM, a table, or for Rerun.")
+    ] = "oem",
     out: Annotated[Path | None, Option(metavar="PATH", help="In DIR, if absent.")] = None,
 ) -> None:
     """Write the trajectories of a run for other tools."""

@@ -1,4 +1,4 @@
-"""Export of trajectories: CCSDS orbit ephemeris messages (OEM), and a table.
+"""Export of trajectories: CCSDS orbit ephemeris messages (OEM), a table, or for Rerun.
 
 An OEM holds a single object [CCSDS502, 5.1.3], so a swarm becomes a folder of them, one of
 them of the chief. They are written here without a library: `oem` needs astropy and lxml, and
@@ -7,10 +7,11 @@ the messages back with `oem`.
 """
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,10 +20,15 @@ from numpy import ndarray as Array
 from dynamics.coordinate_frames import LVLH
 from sato.atomic import replace_atomically
 from sato.run_data import RunData
-from sato.scenario.errors import InputError
+from sato.scenario.errors import InputError, join_names
 
-DEFAULT_PATHS = {"oem": "oem", "csv": "trajectories.csv"}  # in the folder of a run
+if TYPE_CHECKING:
+    from sato.scene import SwarmScene
+
+# In the folder of a run.
+DEFAULT_PATHS = {"oem": "oem", "csv": "trajectories.csv", "rrd": "run.rrd"}
 DEFAULT_EPOCH = "2026-01-01T00:00:00"  # of time 0, of a run without an epoch [UTC]
+INSTALL_RERUN = 'pip install "sato-swarm[rerun]"'
 CHIEF_NAME = "chief"
 AXES_COMMENT = (
     "Axes: z along the axis of the Earth, x and y in its equator, as the scenario gives the",
@@ -44,28 +50,39 @@ class Ephemeris(NamedTuple):
     inertial: Float[Array, "k 6"] | None  # where there is a chief [m, m/s]
 
 
-def export(data: RunData, path: str | Path, format: str = "oem") -> Path:
+def export(
+    data: RunData,
+    path: str | Path,
+    format: str = "oem",
+    make_scene: "Callable[[], SwarmScene] | None" = None,
+) -> Path:
     """Write the trajectories of a run for other tools.
 
     Args:
         data: Data of the run.
-        path: A folder for "oem", a file for "csv". What is there is replaced once all is
+        path: A folder for "oem", a file for the others. What is there is replaced once all is
             written, and kept if that fails.
         format: "oem" is one CCSDS OEM an object, in inertial axes. "csv" is one table of all
-            states, in the chief's frame and, where there is a chief, in inertial axes too.
+            states, in the chief's frame and, where there is a chief, in inertial axes too. "rrd"
+            is a recording for the viewer Rerun, with targets, links and obstacles.
+        make_scene: Makes the scene of the run, for "rrd".
 
     Returns:
         The path.
 
     Raises:
-        InputError: The run has no chief, and so no inertial states; or there is something else
-            at the path.
+        InputError: The run has no chief, and so no inertial states; there is something else at
+            the path; or Rerun is not installed.
         OSError: The path cannot be written to.
     """
     path = Path(path)
     reason = _find_obstacle(data, path, format)
     if reason:
         raise InputError("", reason)
+    if format == "rrd" and make_scene is not None:
+        from sato.recording import write_recording
+
+        return write_recording(make_scene(), str(data.attrs["name"]), path)
     with replace_atomically(path) as new:
         (_write_oem if format == "oem" else _write_csv)(data, new)
     return path
@@ -166,9 +183,11 @@ def _csv_header(track: Ephemeris) -> list[str]:
 
 def _find_obstacle(data: RunData, path: Path, format: str) -> str:
     if format not in DEFAULT_PATHS:
-        return f'there is no format "{format}", only {" and ".join(DEFAULT_PATHS)}'
-    if format == "csv":
-        return f"{path}: is a folder, and a table goes into a file" if path.is_dir() else ""
+        return f'there is no format "{format}", only {join_names(DEFAULT_PATHS, "and")}'
+    if format == "rrd" and find_spec("rerun") is None:
+        return f"the format rrd needs Rerun, which is not installed; {INSTALL_RERUN} would do"
+    if format in ("csv", "rrd"):
+        return f"{path}: is a folder, and one file is written" if path.is_dir() else ""
     if "chief" not in data:
         return "an OEM needs a [chief], and this run has none; the format csv needs no chief"
     if path.exists() and not path.is_dir():

@@ -24,6 +24,8 @@ from sato.run_data import RunData
 if TYPE_CHECKING:  # slow to import, and not needed to simulate
     import matplotlib.figure
 
+    from sato.scene import SwarmScene
+
 
 class Recorded(NamedTuple):
     """Variable of the run file, as a field of its name declares it by type, unit and meaning.
@@ -121,6 +123,7 @@ class System(Generic[MissionT, FrameT]):
     figures: Callable[[RunData, MissionT], FigureFactories]  # by file name, in order
     # Has `canvas`, `frame_positions` and `draw_frame`, as `SwarmAnimation`.
     animation: Callable[[RunData, MissionT], Any] | None = None
+    scene: "Callable[[RunData, MissionT], SwarmScene] | None" = None  # as viewers show it
     run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values
     promises: tuple[str, ...] = ()  # names of those of `check`

@@ -47,6 +47,16 @@ class Obstacle(Definition):
         """Corners of a polytope that contains it, but for the radius, from its middle [m]."""
         raise NotImplementedError
 
+    @property
+    def surface(self) -> Float[Array, "points d"]:
+        """Points on its surface, from its middle, whose hull is drawn [m]."""
+        if not self.thickness:
+            return self.corners
+        ball = polytope_about_ball(self.axes)
+        unit = ball / np.linalg.norm(ball, axis=1, keepdims=True)
+        farthest = self.corners[(self.corners @ unit.T).argmax(axis=0)]
+        return np.asarray(farthest + self.thickness * unit)
+
     def nearest(self, points: Points) -> Points:
         """Find its points that are nearest to others, at the start; of one inside, itself [m]."""
         raise NotImplementedError

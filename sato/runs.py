@@ -34,6 +34,8 @@ if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
     import xarray
 
+    from sato.scene import SwarmScene
+
 Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
@@ -103,11 +105,28 @@ class Run:
 
         return animate(self.recorded, self.drawn_mission, Path(directory), **options)
 
+    def scene(self) -> "SwarmScene":
+        """Make the scene of the run, as viewers show it.
+
+        Raises:
+            InputError: The system has none.
+        """
+        system = load_system(self.recorded.attrs["system"])
+        if system.scene is None:
+            raise InputError("", f"runs of {system.name} have no scene that a viewer could show")
+        return system.scene(self.recorded, self.drawn_mission)
+
+    def player(self, path: str | Path) -> Path:
+        """Write the run as one HTML file, which plays it in a browser without a network."""
+        from sato.player import write_player
+
+        return write_player(self.scene(), self.recorded.attrs, Path(path))
+
     def export(self, path: str | Path, format: str = "oem") -> Path:
         """Write the trajectories for other tools, see `sato.export`."""
         from sato.export import export
 
-        return export(self.recorded, path, format)
+        return export(self.recorded, path, format, self.scene if format == "rrd" else None)
 
     def save(self, directory: str | Path) -> Path:
         """Write run.nc and summary.json into a directory, and return it."""

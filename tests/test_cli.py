@@ -278,7 +278,7 @@ def test_trajectories_are_exported_beside_the_run_or_where_it_is_asked(home):
     ("words", "code", "said"),
     [
         ([], 2, "an OEM needs a [chief], and this run has none; the format csv needs no chief"),
-        (["--format", "stk"], 2, 'there is no format "stk", only oem and csv'),
+        (["--format", "stk"], 2, 'there is no format "stk", only oem, csv and rrd'),
         (["--format", "csv", "--out", "here"], 2, "here: is a folder"),
         (["--format", "csv", "--out", "tiny.toml/x"], 2, "tiny.toml: cannot be written to"),
         (["--format", "csv", "--out", "/proc/x.csv"], 2, "/proc: cannot be written to"),

@@ -156,7 +156,7 @@ def test_what_is_no_export_is_not_replaced(run, tmp_path):
         export(run, tmp_path / "mine" / "thesis.tex")
     with pytest.raises(ValueError, match="is a folder, and a table"):
         export(run, tmp_path / "mine", "csv")
-    with pytest.raises(ValueError, match='no format "stk", only oem and csv'):
+    with pytest.raises(ValueError, match='no format "stk", only oem, csv and rrd'):
         export(run, tmp_path / "x", "stk")
     with pytest.raises(ValueError, match=r"needs a \[chief\].* csv"):
         export(recorded(make_mission()).recorded, tmp_path / "oem")

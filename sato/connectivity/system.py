@@ -22,4 +22,5 @@ SYSTEM = System(
     check=check_run,
     progress=describe_progress,
     figures=lazy("sato.connectivity.figures:make_figures"),
+    scene=lazy("sato.connectivity.scene:make_scene"),
 )

@@ -25,4 +25,5 @@ SYSTEM = System(
     check=check_run,
     progress=make_progress,
     figures=lazy("sato.formation.figures:make_figures"),
+    scene=lazy("sato.formation.scene:make_scene"),
 )

@@ -1,5 +1,6 @@
 """Recorded run, beside the mission that its own scenario describes."""
 
+import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -104,6 +105,21 @@ class ReconfigurationRecord(
         """Return the targets of one leg, as states."""
         targets = self.targets[leg.leg_index]
         return np.asarray(targets[np.isfinite(targets).all(axis=1)])
+
+    @cached_property
+    def used_targets(self) -> tuple[Float[Array, "targets n"], ...]:
+        """Targets of each leg that agents bid on, as states; all if the leg did not end."""
+        counts = self.variables.targets_believed.max(axis=1, initial=0)
+        known = [t[np.isfinite(t).all(axis=1)] for t in self.targets]
+        return tuple(t[: count or len(t)] for t, count in zip(known, counts.tolist(), strict=True))
+
+    @cached_property
+    def leg_names(self) -> list[str]:
+        """Name of each leg: its text, or the kind of its shape."""
+        tables = tomllib.loads(str(self.attributes["scenario"])).get("leg", [])
+        shapes = [table.get("shape", {}) for table in tables]
+        names = [f"‘{s['text']}’" if "text" in s else str(s.get("kind", "shape")) for s in shapes]
+        return names + ["shape"] * (len(self.mission.legs) - len(names))
 
     @cached_property
     def leg_records(self) -> tuple[LegRecord, ...]:

@@ -1,6 +1,5 @@
 """Swarm as figures and animations show it: projected, between control instants too."""
 
-import tomllib
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ from scipy.spatial import ConvexHull
 from dynamics.trajectory_geometry import control_points, evaluate_bezier
 from sato.figures.axes import ORBITAL_PLANE, AxisBounds, Projection
 from sato.figures.style import DARK_GRAY, GRAY, ISOLATED, LIGHT_GRAY, style_components
-from sato.obstacles import polytope_about_ball
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 
 POINTS_PER_STEP = 6  # of a trajectory
@@ -44,11 +42,11 @@ class Scene:
         everything = Projection(tuple(range(d)), ("x", "y", "z")[:d])
         self.record = record
         self.view = view or (everything if record.variables.chief is None else ORBITAL_PLANE)
-        self.leg_names = read_leg_names(record)
+        self.leg_names = record.leg_names
         self.legs = record.leg_records
         parts = np.arange(POINTS_PER_STEP * (len(record.time) - 1) + 1) / POINTS_PER_STEP
         self.path = self.positions_at(parts)
-        self.targets = [self._used_targets(leg) for leg in range(len(record.targets))]
+        self.targets = [self.view.project(used) for used in record.used_targets]
         spacing = record.mission.target_spacing
         self.margin = 0.6 * spacing if np.isfinite(spacing) else 1.0
 
@@ -85,27 +83,8 @@ class Scene:
 
     def outlines_at(self, time: float) -> tuple[Float[Array, "_ d"], ...]:
         """Return points on the surface of each obstacle at a time [s], projected."""
-        ball = polytope_about_ball(self.record.mission.axes)
-        unit, found = ball / np.linalg.norm(ball, axis=1, keepdims=True), []
-        for one in self.record.mission.obstacles:
-            farthest = one.corners[(one.corners @ unit.T).argmax(axis=0)]
-            found.append(self.view.project(one.place_at(time) + farthest + one.thickness * unit))
-        return tuple(found)
-
-    def _used_targets(self, leg: int) -> Float[Array, "targets d"]:
-        # Those that agents bid on; all if the leg did not end.
-        targets = self.record.targets[leg]
-        targets = targets[np.isfinite(targets).all(axis=1)]
-        count = int(self.record.variables.targets_believed[leg].max(initial=0))
-        return self.view.project(targets[: count or len(targets)])
-
-
-def read_leg_names(record: ReconfigurationRecord) -> list[str]:
-    """Return the name of each leg: its text, or the kind of its shape."""
-    tables = tomllib.loads(str(record.attributes["scenario"])).get("leg", [])
-    shapes = [table.get("shape", {}) for table in tables]
-    names = [f"‘{s['text']}’" if "text" in s else str(s.get("kind", "shape")) for s in shapes]
-    return names + ["shape"] * (len(record.mission.legs) - len(names))
+        obstacles = self.record.mission.obstacles
+        return tuple(self.view.project(one.place_at(time) + one.surface) for one in obstacles)
 
 
 def interpolate_positions(

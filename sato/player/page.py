@@ -1,0 +1,55 @@
+"""Page of the player: code, style and data in one HTML file."""
+
+import re
+from base64 import b64encode
+from collections.abc import Mapping
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from sato.atomic import replace_atomically
+from sato.check.common import incomplete_reason
+from sato.player.encode import encode_scene
+from sato.scene import SwarmScene
+
+SCRIPTS = ("data.js", "scene.js", "controls.js", "player.js")
+DEFAULT_NAME = "player.html"  # in the folder of a run
+
+
+def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -> Path:
+    """Write a run as one HTML file, which plays it in a browser without a network.
+
+    Args:
+        scene: Scene of the run.
+        attributes: Attributes of the run.
+        path: File to write; its folder is made if it is missing.
+
+    Returns:
+        The path.
+
+    Raises:
+        OSError: The file cannot be written; one that was there is kept.
+    """
+    title = f"{attributes['name']}, seed {attributes['seed']}"
+    about = {
+        "title": title,
+        "system": str(attributes["system"]),
+        "version": str(attributes["version"]),
+        "note": incomplete_reason(attributes),
+    }
+    parts = {
+        "TITLE": escape(title),
+        "STYLE": _read("player.css"),
+        "THREE": _read("three.min.js"),
+        "DATA": b64encode(encode_scene(scene, about)).decode(),
+        "PLAYER": "\n".join(map(_read, SCRIPTS)),
+    }
+    page = re.sub("@([A-Z]+)@", lambda mark: parts[mark[1]], _read("player.html"))
+    with replace_atomically(path) as new:
+        new.write_text(page, encoding="utf-8")
+    return path
+
+
+def _read(name: str) -> str:
+    return files("sato.player").joinpath(name).read_text(encoding="utf-8")
