@@ -63,7 +63,9 @@ def _log_instant(rerun: Any, recording: Any, scene: SwarmScene, k: int) -> None:
             recording.log(f"obstacles/{i}", mesh)
     for series in scene.series:
         if np.isfinite(series.values[k]):
-            recording.log(f"curves/{series.name}", rerun.Scalars(float(series.values[k])))
+            recording.log(
+                f"curves/{series.name.replace(' ', '_')}", rerun.Scalars(float(series.values[k]))
+            )
 
 
 def list_links(scene: SwarmScene, k: int) -> Int[Array, "pairs 2"]:

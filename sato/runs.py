@@ -110,10 +110,13 @@ class Run:
 
         Raises:
             InputError: The system has none.
+            RunFileError: The run has no instants.
         """
         system = load_system(self.recorded.attrs["system"])
         if system.scene is None:
             raise InputError("", f"runs of {system.name} have no scene that a viewer could show")
+        if not len(self.recorded["time"]):
+            raise record.RunFileError("the run has no instants, and nothing can be shown")
         return system.scene(self.recorded, self.drawn_mission)
 
     def player(self, path: str | Path) -> Path:

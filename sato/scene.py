@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from scipy.spatial import ConvexHull, cKDTree
 
 from sato.figures.style import BLUE, GRAY, GREEN, ORANGE, PURPLE, RED, style_components
-from sato.record import RunFileError
+from sato.obstacles import Obstacle
 
 ABSENT, ALIVE, LOST = 0, 1, 2  # status of a vehicle; a lost one is still there
 COMPONENT_COLORS = (
@@ -124,11 +124,6 @@ class SwarmScene:
     obstacles: tuple[Hull, ...] = ()
     viewpoint: Viewpoint = GROUND
 
-    def __post_init__(self) -> None:
-        """Refuse a run without instants or vehicles."""
-        if not self.position.size:
-            raise RunFileError("the run has no instants, or no vehicles, and nothing can be shown")
-
     @property
     def bounds(self) -> tuple[Float[Array, " d"], Float[Array, " d"]]:
         """Lowest and highest coordinates of vehicles that are there, and of targets [m]."""
@@ -144,23 +139,7 @@ class SwarmScene:
         return len(size) == 2 or bool(size[2] <= FLAT * size.max())
 
 
-class ConvexObstacle(Protocol):
-    """Obstacle of `sato.obstacles`."""
-
-    @property
-    def place(self) -> Float[Array, " d"]:
-        """Its middle at the start [m]."""
-
-    @property
-    def surface(self) -> Float[Array, "points d"]:
-        """Points on its surface, from its middle [m]."""
-
-    @property
-    def drift(self) -> Float[Array, " d"]:
-        """Its velocity [m/s]."""
-
-
-def enclose_obstacle(obstacle: ConvexObstacle) -> Hull:
+def enclose_obstacle(obstacle: Obstacle) -> Hull:
     """Return the surface of an obstacle, the polygon where it is flat."""
     points = obstacle.place + obstacle.surface
     hull = ConvexHull(points)

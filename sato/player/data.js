@@ -24,7 +24,7 @@ async function readRun(text) {
 }
 
 // Sum differences of differences over the first axis, and scale.
-function decodeArray(body, { start, shape, scale, offset }) {
+function decodeArray(body, { start, shape, scale, first }) {
   const rows = shape[0], size = shape.reduce((a, b) => a * b, 1), columns = size / rows || 0;
   const found = new Float32Array(size);
   for (let c = 0, i = start; c < columns; c++) {
@@ -32,7 +32,7 @@ function decodeArray(body, { start, shape, scale, offset }) {
     for (let r = 0; r < rows; r++, i++) {
       step = (step + body[i] + 256 * body[i + size]) & 65535;
       code = (code + step) & 65535;
-      found[r * columns + c] = code === MISSING ? NaN : offset + scale * code;
+      found[r * columns + c] = code === MISSING ? NaN : scale * (first + code);
     }
   }
   return found;

@@ -1,7 +1,7 @@
 """Encoding of a scene for the player: arrays of 16-bit integers, deflated.
 
 The data are the length of a JSON header, the header, and all arrays one after the other. An
-array is rounded to multiples of its scale above its offset, and 65535 stands for NaN. Differences
+array is rounded to multiples of its scale, counted from a first one; 65535 is NaN. Differences
 of differences along its first axis, and then all low bytes before all high ones, deflate well.
 """
 
@@ -32,20 +32,21 @@ class ArrayWriter:
         self.size = 0  # [byte]
 
     def add(self, values: Shaped[Array, "..."]) -> dict[str, Any]:
-        """Write numbers; return where they start, their shape, scale, offset and largest error."""
+        """Write numbers; return where they start, shape, scale, first and largest error."""
         values = np.asarray(values, dtype=float)
         is_finite = np.isfinite(values)
         low = float(values.min(initial=np.inf, where=is_finite)) if is_finite.any() else 0.0
         high = float(values.max(initial=-np.inf, where=is_finite)) if is_finite.any() else 0.0
         is_whole = high - low <= LARGEST and not (values[is_finite] % 1).any()
-        scale = 1.0 if is_whole else (high - low) / LARGEST
-        codes = np.where(is_finite, np.round((values - low) / (scale or 1.0)), MISSING)
+        scale = 1.0 if is_whole else (high - low) / (LARGEST - 1) or abs(low)
+        first = int(np.floor(low / scale))  # zero is exact
+        codes = np.where(is_finite, np.round(values / scale) - first, MISSING)
         wrapped = codes.astype(np.int64).reshape(len(codes), -1)
         for _ in range(2):
             wrapped = np.diff(wrapped, axis=0, prepend=np.zeros_like(wrapped[:1]))
         flat = wrapped.astype(np.uint16).T.ravel()  # the instants of one number side by side
         self.parts += [(flat & 255).astype(np.uint8).tobytes(), (flat >> 8).astype("u1").tobytes()]
-        about = {"start": self.size, "shape": list(values.shape), "scale": scale, "offset": low}
+        about = {"start": self.size, "shape": list(values.shape), "scale": scale, "first": first}
         self.size += 2 * len(flat)
         return about | {"error": 0.0 if is_whole else scale / 2}
 
