@@ -20,6 +20,7 @@ nb_execution_mode = "off"  # `make lessons` sets "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120  # of a cell [s]
 nb_merge_streams = True
+nb_code_prompt_show, nb_code_prompt_hide = "Show the answer", "Hide the answer"
 exclude_patterns = ["_build", "conf.py"]
 suppress_warnings = ["myst.header"]
 
