@@ -44,14 +44,15 @@ def plot_gains(record: FormationRecord) -> Figure:
 
 
 def _matrix_title(way: str, rate: float, bound: float) -> str:
-    return f"|A| {way}\nrate {rate:.3f}/s, none exceeds {bound:.3f}/s"
+    return f"|A| {way}\nrate {rate:.3f}/s\nat this trace ≤ {bound:.3f}/s"
 
 
 def _graph_title(gains: GainMatrix) -> str:
     formation = gains.formation
     name = formation.name.rpartition("/")[2] or f"{len(formation.points)} points"
     edges = f"{formation.edge_count} edges, {100 * formation.density:.3g} % of all"
-    return f"{name}, by {gains.method}\n{edges}"
+    both = f"rate {gains.convergence_rate:.3f}/s, jointly ≤ {gains.joint_bound:.3f}/s"
+    return f"{name}, by {gains.method}\n{edges}\n{both}"
 
 
 def _plot_graph(

@@ -21,8 +21,8 @@ MAX_SAMPLES = 1500  # of the shape error, each of which takes an alignment
 WAITING: dict[str, Any] = {"color": "#ededed", "label": "waiting"}
 CONVERGED: dict[str, Any] = {"color": "#d9f0e6", "label": "converged"}
 GRIDLOCK: dict[str, Any] = {"color": "#fdeed6", "hatch": "//", "ec": "#f3cd94", "label": "gridlock"}
-PHASE_STYLES = {Phase.WAITING: WAITING, Phase.GRIDLOCKED: GRIDLOCK, Phase.ABORTED: GRIDLOCK}
-PHASE_STYLES |= {Phase.CONVERGED: CONVERGED, Phase.COMPLETED: CONVERGED}
+LEGACY_GRIDLOCK = GRIDLOCK | {"label": "gridlock as printed: some avoid others all the time"}
+PHASE_STYLES = {Phase.WAITING: WAITING, Phase.CONVERGED: CONVERGED, Phase.COMPLETED: CONVERGED}
 
 
 def phase_spans(record: FormationRecord) -> list[panels.Interval]:
@@ -128,9 +128,11 @@ def plot_assignments(record: FormationRecord) -> Figure:
 
 def _finish(figure: Figure, record: FormationRecord) -> Figure:
     """Shade phases, name legs above the first panel, and add a legend below the last."""
+    gridlock = LEGACY_GRIDLOCK if record.mission.avoidance.legacy else GRIDLOCK
+    styles = PHASE_STYLES | dict.fromkeys((Phase.GRIDLOCKED, Phase.ABORTED), gridlock)
     for span in phase_spans(record):
-        if span.value in PHASE_STYLES:
-            panels.shade(figure.axes, span, **PHASE_STYLES[span.value])
+        if span.value in styles:
+            panels.shade(figure.axes, span, **styles[span.value])
     spans = []
     for leg in record.replay.legs:
         shape = formation_name(record, leg.leg).replace(" ", "\n")
