@@ -97,9 +97,15 @@ class ClohessyWiltshire(CircularOrbitModel):
 
     Valid while the separation is small against the radius of the orbit. Errors from J2, the
     eccentricity and second-order terms add up: see `campaigns/linear-models.toml`.
+
+    Args:
+        n: Mean motion of the chief [rad/s].
+
+    Raises:
+        ValueError: The mean motion is not positive and finite.
     """
 
-    n: float  # mean motion of the chief [rad/s]
+    n: float
 
     def __post_init__(self) -> None:
         """Check the mean motion."""
@@ -144,12 +150,21 @@ class SchweighartSedwick(CircularOrbitModel):
     in cross-track, between orbits of one inclination. Nodes of orbits of different
     inclination drift apart, and the amplitude of z grows slowly: [Schweighart2002] has a
     term 2lq cos(qt + φ) in z̈, which depends on the chief's latitude and is left out here.
+
+    Args:
+        radius: Radius of the chief's orbit [m].
+        inclination: Inclination of the chief's orbit [rad].
+        mu: Gravitational parameter [m³/s²].
+        k_J2: 3/2 J₂ μ R² [m⁵/s²]; 0 gives Clohessy–Wiltshire.
+
+    Raises:
+        ValueError: A value is out of its range, or J2 is no small part of gravity.
     """
 
-    radius: float  # of the chief's orbit [m]
-    inclination: float  # of the chief's orbit [rad]
-    mu: float = EARTH_MU  # gravitational parameter [m³/s²]
-    k_J2: float = K_J2  # 3/2 J₂ μ R² [m⁵/s²]; 0 gives Clohessy–Wiltshire
+    radius: float
+    inclination: float
+    mu: float = EARTH_MU
+    k_J2: float = K_J2
 
     def __post_init__(self) -> None:
         """Check the orbit, and that J2 is a small perturbation."""
@@ -190,7 +205,7 @@ class SchweighartSedwick(CircularOrbitModel):
 
     @property
     def s(self) -> float:
-        """Strength of J2 averaged over the orbit."""
+        """Strength of J2 averaged over the orbit, a small number."""
         return self._j2_ratio * (1 + 3 * cos(2 * self.inclination)) / 4
 
     @property

@@ -142,8 +142,9 @@ def linearize_along(
 
     Args:
         model: The model.
-        x: Nominal states at the starts of the steps; a last one, at the end, is not used.
-        u: Nominal controls, held over each step.
+        x: Nominal positions [m] and velocities [m/s] at the starts of the steps; a last one, at
+            the end, is not used.
+        u: Nominal accelerations, held over each step [m/s²].
         dt: Length of a step [s].
         t0: Start of the first step [s].
 

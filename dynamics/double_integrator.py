@@ -13,7 +13,14 @@ from dynamics.symbols import Number
 
 @dataclass(frozen=True)
 class DoubleIntegrator(LinearModel):
-    """r̈ = u in the plane or in space."""
+    """r̈ = u in the plane or in space.
+
+    Args:
+        axes: Dimension of space, 2 or 3.
+
+    Raises:
+        ValueError: It is another one.
+    """
 
     axes: int = 2
     is_time_invariant: ClassVar[bool] = True

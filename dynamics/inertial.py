@@ -75,7 +75,7 @@ class InertialPlant(Plant):
         return states
 
     def chief_elements(self, t: float) -> Float[Array, " 6"]:
-        """Return the polar-nodal elements of the chief."""
+        """Return r [m], v_x [m/s], h [m²/s], Ω, i and θ [rad] of the chief."""
         return to_polar_nodal(self._chief_state(t))
 
     def _chief_state(self, t: float) -> Array:

@@ -27,6 +27,9 @@ class J2(NonlinearModel):
 
     with g the gravity of the oblate Earth. Exact at any separation; other forces are left
     out. With k_J2 = 0 it is Keplerian relative motion.
+
+    Args:
+        orbit: Orbit of the chief.
     """
 
     orbit: Orbit

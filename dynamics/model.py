@@ -37,9 +37,14 @@ class Model(ABC):
 
     @abstractmethod
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
-        """Return the rate of change of one state or of many.
+        """Return the rate of change of one state or of many, in SI units.
 
         Where t, x or u is an expression of CasADi (SX or MX; x and u columns), the rate is one.
+
+        Args:
+            t: Time [s].
+            x: Position [m] and velocity [m/s].
+            u: Acceleration [m/s²].
 
         Raises:
             TypeError: The rate of a model of the user's own takes no symbols.
@@ -76,7 +81,13 @@ class NonlinearModel(Model):
 
     @abstractmethod
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
-        """Return ∂f/∂x and ∂f/∂u."""
+        """Return ∂f/∂x and ∂f/∂u, in SI units.
+
+        Args:
+            t: Time [s].
+            x: Position [m] and velocity [m/s].
+            u: Acceleration [m/s²].
+        """
 
 
 class LinearModel(Model):
@@ -90,19 +101,35 @@ class LinearModel(Model):
 
     @abstractmethod
     def A(self, t: Number) -> Numbers[Array, "n n"]:
-        """State matrix."""
+        """State matrix, in SI units.
+
+        Args:
+            t: Time [s].
+        """
 
     def B(self, t: Number) -> Numbers[Array, "n m"]:
-        """Control matrix: an acceleration changes the velocity."""
+        """Control matrix, in SI units: an acceleration changes the velocity.
+
+        Args:
+            t: Time [s].
+        """
         d = self.axes
         return np.vstack([np.zeros((d, d)), np.eye(d)])
 
     def z(self, t: Number) -> Numbers[Array, " n"]:
-        """Affine term."""
+        """Affine term, in SI units.
+
+        Args:
+            t: Time [s].
+        """
         return np.zeros(2 * self.axes)
 
     def matrices(self, times: Numbers[Array, " k"]) -> Matrices:
-        """Stack A, B and z at many times; override it where this can be done faster."""
+        """Stack A, B and z at many times; override it where this can be done faster.
+
+        Args:
+            times: Times [s].
+        """
         each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
         A, B, z = (np.array(part) for part in zip(*each, strict=True))
         return A, B, z

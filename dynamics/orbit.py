@@ -45,15 +45,15 @@ class LVLHRates(NamedTuple):
 
 @dataclass(frozen=True)
 class Orbit:
-    """Orbit about the Earth, given by its osculating state at time 0. Angles in radians.
+    """Orbit about the Earth, given by its osculating state at time 0.
 
     Args:
         r: Radius [m].
         v_x: Radial speed [m/s].
         h: Specific angular momentum [m²/s].
-        raan: Right ascension of the ascending node, Ω.
-        inclination: i, between 0 and π.
-        arg_latitude: Argument of latitude, θ, from the node.
+        raan: Right ascension of the ascending node, Ω [rad].
+        inclination: i, between 0 and π [rad].
+        arg_latitude: Argument of latitude, θ, from the node [rad].
         mu: Gravitational parameter [m³/s²].
         k_J2: 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]; 0 is Keplerian motion.
 
@@ -97,7 +97,7 @@ class Orbit:
 
         Args:
             semi_major_axis: [m].
-            eccentricity: From 0 to below 1.
+            eccentricity: Eccentricity, from 0 to below 1.
             inclination: Between 0 and π [rad].
             raan: Right ascension of the ascending node [rad].
             arg_perigee: Argument of perigee [rad].
@@ -116,7 +116,7 @@ class Orbit:
 
     @property
     def initial_elements(self) -> tuple[float, ...]:
-        """Polar-nodal elements at time 0."""
+        """Polar-nodal elements at time 0, r [m], v_x [m/s], h [m²/s], Ω, i and θ [rad]."""
         return self.r, self.v_x, self.h, self.raan, self.inclination, self.arg_latitude
 
     @property

@@ -32,7 +32,7 @@ class Plant(ABC):
         """Return the states at equal instants from t to t + dt, the first of them x itself.
 
         Args:
-            x: States at t; in orbit, in LVLH axes of the chief.
+            x: Positions [m] and velocities [m/s] at t; in orbit, in LVLH axes of the chief.
             u: Accelerations, constant in the same axes [m/s²].
             t: Initial time [s].
             dt: Duration [s].
@@ -43,13 +43,22 @@ class Plant(ABC):
         """
 
     def chief_elements(self, t: float) -> Float[Array, " 6"] | None:
-        """Return the polar-nodal elements of the chief, or None where there is no orbit."""
+        """Return r [m], v_x [m/s], h [m²/s], Ω, i and θ [rad] of the chief; None without an orbit.
+
+        Args:
+            t: Time [s].
+        """
         return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearPlant(Plant):
-    """Agents that move exactly as a linear model says."""
+    """Agents that move exactly as a linear model says.
+
+    Args:
+        model: Equations of motion.
+        chief_orbit: Orbit of the chief, where there is one.
+    """
 
     model: LinearModel
     chief_orbit: Orbit | None = None
@@ -67,6 +76,9 @@ class NonlinearPlant(Plant):
     """Agents that move exactly as a nonlinear model says, all in one integration.
 
     The chief is that of the model, where it has an attribute `orbit`, as `J2` does.
+
+    Args:
+        model: Equations of motion.
     """
 
     model: NonlinearModel

@@ -24,9 +24,12 @@ class TschaunerHempel(LinearModel):
 
     Valid while the separation is small against the radius, at any eccentricity below 1,
     without J2. For e = 0 they are the Clohessy–Wiltshire equations.
+
+    Args:
+        orbit: Orbit of the chief; its k_J2 is set to 0.
     """
 
-    orbit: Orbit  # of the chief; its k_J2 is set to 0
+    orbit: Orbit
     axes: int = field(default=3, init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -46,8 +46,8 @@ def compute_transfer_costs(
 
     Args:
         transfer: The remaining steps, limits and norms, the same for all agents.
-        start: States of the agents.
-        targets: Terminal states.
+        start: Positions [m] and velocities [m/s] of the agents.
+        targets: Positions [m] and velocities [m/s] to reach.
         solvers: Solver of each agent; the default where None.
 
     Raises:

@@ -57,6 +57,14 @@ class AvoidanceProblem:
 
     A relaxation admits violations at a penalty far above fuel: "none", of the terminal state
     ("terminal"), of all half-spaces by as much, ten times as dear, or of both ("separation").
+
+    Args:
+        transfer: Steps, limits and norms.
+        start: Position [m] and velocity [m/s].
+        goal: Position [m] and velocity [m/s].
+        half_spaces: Half-spaces of control points.
+        solver: Function of a `ConicProgram`.
+        tolerance: Distance by which a half-space may be violated [m].
     """
 
     transfer: TransferProblem
@@ -64,7 +72,7 @@ class AvoidanceProblem:
     goal: Float[Array, " n"]
     half_spaces: HalfSpaces
     solver: Solver = solve_program
-    tolerance: float = 0.0  # by which a half-space may be violated [m]
+    tolerance: float = 0.0
 
     @classmethod
     def alone(
@@ -125,7 +133,11 @@ class AvoidanceProblem:
         return found
 
     def slow_down(self, factor: float) -> "AvoidanceProblem":
-        """Return the problem with the speed limit times a factor."""
+        """Return the problem with another speed limit.
+
+        Args:
+            factor: Ratio of the limits.
+        """
         return replace(self, transfer=self.transfer.slow_down(factor))
 
     def _solve_conic(self, relaxation: Relaxation) -> AvoidanceResult:
@@ -194,7 +206,11 @@ class AvoidanceProblem:
         return np.repeat([1.0, self.transfer.model.dt], self.transfer.model.axes)
 
     def extract_trajectory(self, unknowns: Float[Array, " unknowns"]) -> Trajectory:
-        """Simulate the controls of a solution of the program of `assemble_conic`."""
+        """Simulate the controls of a solution of the program of `assemble_conic`.
+
+        Args:
+            unknowns: Its unknowns, in units of the limits.
+        """
         T, _, m = self.transfer.model.B.shape
         limit, parts = self.transfer.control_limit, unknowns[: self.unknown_controls]
         U, parts = limit.most, parts.reshape(-1, T, m)

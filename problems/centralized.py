@@ -65,15 +65,21 @@ class CentralizedProblem:
     The tie-break weights of the transfer are ignored. The fuel has q = 1 or ∞: with q = 2 it has
     no derivative where a control is 0, as most are.
 
+    Args:
+        transfer: Steps, limits and norms of all agents.
+        horizon: Pieces of the steps, of the same length, and R.
+        own_transfers: Transfer of each agent, where limits differ.
+        clearances: R of each agent, where they differ [m].
+
     Raises:
         ValueError: The transfer has no steps, another length than the horizon, or fuel with q = 2;
             or transfers of the agents differ in more than limits.
     """
 
     transfer: TransferProblem
-    horizon: AvoidanceHorizon  # of the same length
-    own_transfers: tuple[TransferProblem, ...] = ()  # of each agent, where limits differ
-    clearances: Float[Array, " agents"] | None = None  # R of each agent, where they differ [m]
+    horizon: AvoidanceHorizon
+    own_transfers: tuple[TransferProblem, ...] = ()
+    clearances: Float[Array, " agents"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse fuel without derivatives, and what is inconsistent."""
@@ -191,7 +197,14 @@ class CentralizedProblem:
     def simulate(
         self, start: AgentStates, goal: AgentStates, u: ControlSamples, solver_message: str
     ) -> SimulatedSolution:
-        """Simulate the controls and compute all violations."""
+        """Simulate the controls and compute all violations.
+
+        Args:
+            start: Positions [m] and velocities [m/s].
+            goal: Positions [m] and velocities [m/s].
+            u: Accelerations, held over each step [m/s²].
+            solver_message: Kept with the result.
+        """
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
         each = [self._program.transfer_of(i) for i in range(len(x))]
@@ -210,7 +223,12 @@ class CentralizedProblem:
         return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
 
     def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
-        """Count the pairs that come too close on given trajectories."""
+        """Count the pairs that come too close on given trajectories.
+
+        Args:
+            x: Positions [m] and velocities [m/s].
+            u: Accelerations, held over each step [m/s²].
+        """
         distance, _ = self._closest_approaches(x, u)
         return int((distance < self._clearances_of(len(x))).any(axis=1).sum())
 

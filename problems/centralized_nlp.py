@@ -79,11 +79,18 @@ class NonlinearProgram:
         x, u = program.trajectories(solver(**program.arguments)["x"])
 
     The cost f is the fuel in units of U Δt, or the energy in units of U² Δt.
+
+    Args:
+        problem: Expressions "x", "f" and "g".
+        arguments: Initial guess and bounds: "x0", "lbx", "ubx", "lbg", "ubg".
+        shape: Agents, steps and axes.
+        state_units: Units of the states in the program [m, m/s].
+        control_unit: Unit of the controls in the program [m/s²].
     """
 
-    problem: dict[str, Any]  # expressions "x", "f" and "g"
-    arguments: dict[str, Array]  # initial guess and bounds: "x0", "lbx", "ubx", "lbg", "ubg"
-    shape: tuple[int, int, int]  # agents, steps and axes
+    problem: dict[str, Any]
+    arguments: dict[str, Array]
+    shape: tuple[int, int, int]
     state_units: Float[Array, " n"]
     control_unit: float
 

@@ -29,24 +29,34 @@ class ConicProgram:
 
     Rows stand in that order. Q are second-order cones, (t, y) with ‖y‖₂ ≤ t. S are positive
     semidefinite matrices, each as its upper triangle, column by column, with off-diagonal entries
-    multiplied by √2, so that the norm of the rows is the Frobenius norm of the matrix.
+    multiplied by √2, so that the norm of the rows is the Frobenius norm of the matrix. Numbers
+    are dimensionless here.
+
+    Args:
+        q: Linear coefficients of the cost.
+        A: Sparse matrix, m × n.
+        b: Right-hand side, dimensionless.
+        zero: z, number of equations.
+        nonnegative: l, number of inequalities.
+        soc_sizes: Rows of each second-order cone.
+        psd_orders: Orders of the semidefinite matrices.
+        P: Upper triangle, n × n; None where the cost is linear.
+
+    Raises:
+        ValueError: Shapes do not fit, a number is not finite, or the cost is not convex.
     """
 
     q: Float[Array, " n"]
-    A: csc_array  # m × n
+    A: csc_array
     b: Float[Array, " m"]
-    zero: int  # z, number of equations
-    nonnegative: int  # l, number of inequalities
-    soc_sizes: tuple[int, ...] = ()  # rows of each second-order cone
-    psd_orders: tuple[int, ...] = ()  # orders of the semidefinite matrices
-    P: csc_array | None = None  # upper triangle, n × n; None where the cost is linear
+    zero: int
+    nonnegative: int
+    soc_sizes: tuple[int, ...] = ()
+    psd_orders: tuple[int, ...] = ()
+    P: csc_array | None = None
 
     def __post_init__(self) -> None:
-        """Sort the entries of the matrices, and check the data.
-
-        Raises:
-            ValueError: Shapes do not fit, a number is not finite, or the cost is not convex.
-        """
+        """Sort the entries of the matrices, and check the data."""
         object.__setattr__(self, "A", _canonical(self.A))
         if self.P is not None:
             object.__setattr__(self, "P", _canonical(self.P))
@@ -76,7 +86,11 @@ class ConicProgram:
         return csc_array(self.P + triu(self.P, 1).T)
 
     def cost(self, x: Float[Array, " n"]) -> float:
-        """Compute ½ xᵀP x + qᵀx."""
+        """Compute ½ xᵀP x + qᵀx, a dimensionless number.
+
+        Args:
+            x: Point, dimensionless.
+        """
         linear = float(self.q @ x)
         return linear if self.P is None else linear + 0.5 * float(x @ (self.hessian @ x))
 
@@ -117,7 +131,12 @@ class ConicProgram:
         return frozenset(found)
 
     def cone_violation(self, s: Float[Array, " m"], dual: bool = False) -> float:
-        """Compute the largest violation of the cones, or of their duals, by a point s."""
+        """Compute the largest violation of the cones by a point, a dimensionless number.
+
+        Args:
+            s: Point, dimensionless.
+            dual: True for the dual cones.
+        """
         worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
         worst.append(0.0 - s[self.zero : self.linear].min(initial=0.0))  # 0.0 − avoids −0
         for rows in self.soc_rows:
@@ -127,13 +146,21 @@ class ConicProgram:
         return _max_or_nan(worst)
 
     def violation_cost(self, v: Float[Array, " m"]) -> float:
-        """Bound the change of vᵀs, v in one cone and s in the other, for s violated by 1."""
+        """Bound the change of vᵀs, a number, v in one cone and s in the other, s violated by 1.
+
+        Args:
+            v: Point of a cone, dimensionless.
+        """
         total = float(np.abs(v[: self.linear]).sum())
         total += sum(abs(float(v[rows][0])) for rows in self.soc_rows)
         return total + sum(abs(float(np.trace(smat(v[rows])))) for rows in self.psd_rows)
 
     def move_into_dual_cone(self, y: Float[Array, " m"]) -> Float[Array, " m"]:
-        """Compute a point of the dual cone near y."""
+        """Compute a point of the dual cone near another, dimensionless.
+
+        Args:
+            y: That one, dimensionless.
+        """
         y = y.copy()
         y[self.zero : self.linear] = np.maximum(y[self.zero : self.linear], 0)
         for rows in self.soc_rows:

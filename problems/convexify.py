@@ -31,13 +31,20 @@ class AvoidanceHorizon:
 
     Two vehicles may keep an ellipsoid instead of a ball: control points are scaled along the axes,
     so that it becomes a ball.
+
+    Args:
+        discrete_model: The next T_H steps.
+        fine_model: The same time span, each step divided into equal pieces.
+        clearance: R_col, the margin and the interpolation error of the pieces [m].
+        scale: Factor of control points along each axis.
+        samples_only: Control points are the samples alone [Morgan2016, eq. 38].
     """
 
-    discrete_model: DiscreteModel  # the next T_H steps
-    fine_model: DiscreteModel  # the same time span, each step divided into equal pieces
-    clearance: float  # R_col, the margin and the interpolation error of the pieces [m]
-    scale: tuple[float, ...] | None = None  # of control points, along each axis
-    samples_only: bool = False  # control points are the samples alone [Morgan2016, eq. 38]
+    discrete_model: DiscreteModel
+    fine_model: DiscreteModel
+    clearance: float
+    scale: tuple[float, ...] | None = None
+    samples_only: bool = False
 
     def with_clearance(self, clearance: float) -> "AvoidanceHorizon":
         """Return the horizon of a vehicle with another clearance."""
@@ -92,17 +99,30 @@ class AvoidanceHorizon:
         return P * wide[:, None], Q * wide[:, None], r * wide
 
     def scale_points(self, points: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
-        """Return positions as control points have them."""
+        """Return positions as control points have them, scaled.
+
+        Args:
+            points: Positions [m].
+        """
         return points if self.scale is None else points * np.array(self.scale)
 
     def unscale_points(self, points: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
-        """Return control points as positions [m]."""
+        """Return control points as positions [m].
+
+        Args:
+            points: Scaled positions.
+        """
         return points if self.scale is None else points / np.array(self.scale)
 
     def control_points(
         self, x: StateSamples, u: ControlSamples
     ) -> Float[Array, "*agents pieces 4 d"]:
-        """Compute the control points over the horizon; after its last control an agent coasts."""
+        """Compute scaled control points over the horizon; after its last control an agent coasts.
+
+        Args:
+            x: Positions [m] and velocities [m/s].
+            u: Accelerations, held over each step [m/s²].
+        """
         T, pieces, d = min(u.shape[-2], self.steps), len(self.fine_model), u.shape[-1]
         rest = self.steps - T
         still = np.zeros((*u.shape[:-2], rest, u.shape[-1]))

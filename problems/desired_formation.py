@@ -24,13 +24,18 @@ class DesiredFormation:
     p = x + jy and 1 horizontally (over the complex numbers), and by z and 1 vertically; in a
     flat formation by 1 alone, and its heights count as equal.
 
+    Args:
+        points: Points [m].
+        graph: Symmetric, False on the diagonal; True for neighbors.
+        name: Name in figures.
+
     Raises:
         ValueError: Points coincide or are not finite, or the graph is asymmetric,
             disconnected or has a vertex of fewer than two neighbors.
     """
 
-    points: Float[Array, "n 3"]  # [m]
-    graph: Bool[Array, "n n"]  # symmetric, False on the diagonal; True for neighbors
+    points: Float[Array, "n 3"]
+    graph: Bool[Array, "n n"]
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -42,7 +47,12 @@ class DesiredFormation:
 
     @classmethod
     def with_complete_graph(cls, points: Float[Array, "n 3"], name: str = "") -> "DesiredFormation":
-        """Build a formation in which every agent measures every other one."""
+        """Build a formation in which every agent measures every other one.
+
+        Args:
+            points: Points [m].
+            name: Name in figures.
+        """
         return cls(points, ~np.eye(len(points), dtype=bool), name)
 
     @property
@@ -68,12 +78,12 @@ class DesiredFormation:
 
     @cached_property
     def kernel_xy(self) -> Complex[Array, "n r"]:
-        """Orthonormal columns that span p = x + jy and 1; 1 alone for a vertical stack."""
+        """Orthonormal columns, unit vectors that span p = x + jy and 1; 1 alone for a stack."""
         return _kernel_basis(self.planar_points, self._extent)
 
     @cached_property
     def kernel_z(self) -> Float[Array, "n r"]:
-        """Orthonormal columns that span z and 1; 1 alone for a flat formation."""
+        """Orthonormal columns, unit vectors that span z and 1; 1 alone for a flat formation."""
         heights = np.zeros(len(self.points)) if self.is_flat else self.points[:, 2]
         return _kernel_basis(heights, self._extent)
 

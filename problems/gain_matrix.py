@@ -28,17 +28,25 @@ class GainMatrix:
     eigenvalues of A outside the kernel, of which those of `xy` are double, have a mean of
     −1. All properties except for the bounds are computed from the matrices.
 
+    Args:
+        formation: Points and graph.
+        xy: Horizontal gains [1/s].
+        z: Vertical gains [1/s].
+        method: Name of the method of design.
+        bound_xy: Proven: no gains of this formation and of this trace are faster [1/s].
+        bound_z: The same for the vertical ones [1/s].
+
     Raises:
         ValueError: The gains are unstable or belong to another formation, or a bound is
             below the rate.
     """
 
     formation: DesiredFormation
-    xy: Complex[Array, "n n"]  # [1/s]
-    z: Float[Array, "n n"]  # [1/s]
+    xy: Complex[Array, "n n"]
+    z: Float[Array, "n n"]
     method: str
-    bound_xy: float  # proven: no gains of this formation and of this trace are faster [1/s]
-    bound_z: float  # [1/s]
+    bound_xy: float
+    bound_z: float
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""

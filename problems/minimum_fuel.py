@@ -62,7 +62,7 @@ def solve_minimum_fuel(
 
     Args:
         steps: Dynamics, the same for all, or those of each program.
-        displacement: x_f − Φ x₀ − (drift), a row for each program.
+        displacement: x_f − Φ x₀ − (drift), a row for each program [m, m/s].
         max_control: U, the largest |u| on each axis, or one entry an axis [m/s²].
         weight: Weights of |u[k]|, near 1; see `tie_break_weights`.
         batches: Equal parts into which the programs are split, in their order. Solutions do

@@ -67,6 +67,11 @@ class PairProblem:
                     n · (c₁(x₁, u₁) − c₂(x₂, u₂)) ≥ R
 
     Both agents may move, so that the sum of their fuel or energy is least.
+
+    Args:
+        first: Transfer of one agent among its own half-spaces.
+        second: That of the other.
+        relative_half_spaces: Half-spaces of the distance of the two.
     """
 
     first: AvoidanceProblem
@@ -74,7 +79,7 @@ class PairProblem:
     relative_half_spaces: RelativeHalfSpaces
 
     def violation(self, both: tuple[Trajectory, Trajectory]) -> Float[Array, " rows"]:
-        """Compute by how much all half-spaces are violated: those of each agent, then of both."""
+        """Compute the violation of all half-spaces [m]: those of each agent, then of both."""
         each = zip(self._members, both, strict=True)
         own = [member.half_spaces.violation(flight.x, flight.u) for member, flight in each]
         return np.concatenate([*own, self.relative_half_spaces.violation(*both)])

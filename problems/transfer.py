@@ -29,11 +29,17 @@ ARRIVAL_TOLERANCE = 1e-9  # of a closed form, relative to the largest state
 
 
 class Trajectory(NamedTuple):
-    """States, controls and fuel of one agent."""
+    """States, controls and fuel of one agent.
 
-    x: Float[Array, "T+1 n"]  # states
-    u: Float[Array, "T m"]  # accelerations, held over each step [m/s²]
-    fuel: float  # Δt Σ ‖u[k]‖ [m/s]
+    Args:
+        x: Positions [m] and velocities [m/s].
+        u: Accelerations, held over each step [m/s²].
+        fuel: Δt Σ ‖u[k]‖ [m/s].
+    """
+
+    x: Float[Array, "T+1 n"]
+    u: Float[Array, "T m"]
+    fuel: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +56,29 @@ class TransferProblem:
     ends are data and need not keep the limit. The weights are 1 in the paper; with q = 1 the
     optimum is often not unique, and weights that rise slightly select one, see
     `tie_break_weights`.
+
+    Args:
+        model: Discrete model, A, B and z of each step.
+        max_control: U, a number or an entry an axis [m/s²].
+        max_speed: V, a number or an entry an axis [m/s].
+        fuel_norm: q.
+        control_norm: r.
+        tie_break_rise: Relative rise of the weights, from the ends to the middle.
+        objective: Fuel or energy.
+        speed_norm: s.
+
+    Raises:
+        ValueError: A limit is not positive, or has not one entry for each axis.
     """
 
     model: DiscreteModel
-    max_control: Bound  # U [m/s²]
-    max_speed: Bound = inf  # V [m/s]
-    fuel_norm: Norm = 1  # q
-    control_norm: Norm = "inf"  # r
-    tie_break_rise: float = 0.0  # of the weights, from the ends to the middle
+    max_control: Bound
+    max_speed: Bound = inf
+    fuel_norm: Norm = 1
+    control_norm: Norm = "inf"
+    tie_break_rise: float = 0.0
     objective: Objective = "fuel"
-    speed_norm: Norm = 2  # s
+    speed_norm: Norm = 2
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -102,7 +121,11 @@ class TransferProblem:
         return R, np.linalg.qr(R[-1].T)[1].T
 
     def coast(self, start: Float[Array, "*many n"]) -> Float[Array, "*many instants n"]:
-        """Compute the states without control, Φ[k] x₀ + ζ[k]."""
+        """Compute the states without control, Φ[k] x₀ + ζ[k], in SI units.
+
+        Args:
+            start: Position [m] and velocity [m/s].
+        """
         ζ, Φ = self._free_response
         return ζ + np.tensordot(start, Φ, 1)
 
@@ -113,15 +136,23 @@ class TransferProblem:
         return ζ, self.model.simulate(np.eye(n), np.zeros((n, T, m))) - ζ
 
     def is_too_fast(self, x: StateSamples) -> Bool[Array, "*agents inner"]:
-        """Find the instants between the ends at which the speed exceeds its limit."""
+        """Find the instants between the ends at which the speed exceeds its limit.
+
+        Args:
+            x: Positions [m] and velocities [m/s].
+        """
         return self.speed_limit.is_exceeded(x[..., 1:-1, self.model.axes :])
 
     def slow_down(self, factor: float) -> "TransferProblem":
-        """Return the problem with the speed limit times a factor."""
+        """Return the problem with another speed limit.
+
+        Args:
+            factor: Ratio of the limits.
+        """
         return self if factor == 1 else replace(self, max_speed=np.multiply(self.max_speed, factor))
 
     def speed_excess(self, trajectory: "Trajectory") -> float:
-        """Compute the largest speed between the ends, over its limit, minus 1."""
+        """Compute the relative excess of the largest speed between the ends over its limit."""
         speed = self.speed_limit.measure(trajectory.x[1:-1, self.model.axes :])
         return float(speed.max(initial=0.0)) / self.speed_limit.most - 1
 
@@ -147,6 +178,10 @@ class TransferProblem:
         """Compute the trajectories of least energy to some targets, without limits.
 
         They begin at one state, or each at its own.
+
+        Args:
+            start: Position [m] and velocity [m/s].
+            targets: Positions [m] and velocities [m/s].
 
         Returns:
             States and controls, and True where they arrive and happen to keep all limits.
@@ -194,6 +229,11 @@ class TransferProblem:
     ) -> Trajectory:
         """Solve with CVXPY, which is compiled once.
 
+        Args:
+            start: Position [m] and velocity [m/s].
+            target: Position [m] and velocity [m/s].
+            solver: Function of a `ConicProgram`.
+
         Raises:
             Infeasible: The target is unreachable in this time.
             Unsolved: The solver stopped for any other reason.
@@ -213,7 +253,12 @@ class TransferProblem:
         return self.simulate(start, self.control_limit.cut(u.value))
 
     def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
-        """Simulate the trajectory of given controls."""
+        """Simulate the trajectory of given controls.
+
+        Args:
+            start: Position [m] and velocity [m/s].
+            u: Accelerations, held over each step [m/s²].
+        """
         fuel = float(compute_fuel(u, self.model.dt, self.fuel_norm))
         return Trajectory(self.model.simulate(start, u), u, fuel)
 

@@ -66,7 +66,11 @@ class Obstacle(Definition):
         return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
 
     def scaled(self, factors: tuple[float, ...]) -> "Obstacle":
-        """Return the same in space that is scaled along its axes."""
+        """Return the same in space that is scaled along its axes.
+
+        Args:
+            factors: Factor of each axis.
+        """
         raise NotImplementedError
 
     def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:

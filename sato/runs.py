@@ -42,11 +42,20 @@ FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """Mission that was flown: its data, its summary, and the mission itself."""
+    """Mission that was flown: its data, its summary, and the mission itself.
+
+    Args:
+        recorded: Arrays and attributes of the run file.
+        summary: Entries of `summary.json`.
+        mission: Not drawn; None where a file holds a model of the user's own.
+
+    Raises:
+        InputError: The data are no `RunData`.
+    """
 
     recorded: RunData
     summary: dict[str, Any]
-    mission: Any | None = None  # not drawn; None where a file holds a model of the user's own
+    mission: Any | None = None
 
     def __post_init__(self) -> None:
         """Refuse a dataset in place of its arrays."""

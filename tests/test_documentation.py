@@ -4,6 +4,10 @@ import re
 import runpy
 from pathlib import Path
 
+from public_docstrings import all_faults, function_faults
+
+import sato
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("dynamics", "problems", "sato")
 MEASURES = runpy.run_path(str(ROOT / "scripts/measure_code.py"))
@@ -21,6 +25,31 @@ def test_every_name_of_the_glossary_is_found_in_the_code():
 
 def test_docstrings_name_a_thing_or_an_action():
     assert MEASURES["evasive_docstrings"]() == []
+
+
+def test_the_reference_lists_every_public_name_of_sato():
+    page = (ROOT / "docs/reference.md").read_text("utf-8")
+    assert set(sato.__all__) - set(re.findall(r"^   (\w+)$", page, flags=re.M)) == set()
+
+
+def test_public_docstrings_tell_parameters_units_shapes_and_errors():
+    assert all_faults() == []
+
+
+def test_docstrings_without_units_or_errors_are_noticed():
+    def careless(length: float) -> float:
+        """Return it.
+
+        Args:
+            length: Size of it.
+        """
+        raise ValueError(length)
+
+    assert list(function_faults(careless)) == [
+        "careless: no unit of length",
+        "careless: no unit of what is returned",
+        "careless: raises ValueError",
+    ]
 
 
 def test_public_classes_have_names_of_their_own():

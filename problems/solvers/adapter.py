@@ -33,15 +33,26 @@ def accept_all(problem: ConicProgram) -> str:
 
 @dataclass(frozen=True)
 class SolverAdapter:
-    """Solver, and the way to call it."""
+    """Solver, and the way to call it.
+
+    Args:
+        name: Name in commands, tables and missions.
+        cone_types: Cones that it supports.
+        certifies_infeasibility: True where it reports infeasible programs with a certificate.
+        session_factory: Function of a program and a relative tolerance that sets it up.
+        module: Module that is imported; the name where empty.
+        pip_packages: Packages that install it; the module where empty.
+        unsupported_reason: Function of a program; returns "" where it is supported.
+        takes_quadratic_cost: False for linear costs alone.
+    """
 
     name: str
-    cone_types: frozenset[ConeType]  # that it supports
-    certifies_infeasibility: bool  # True where it reports infeasible programs with a certificate
-    session_factory: Callable[[ConicProgram, float], SolverSession]  # of a program and a tolerance
-    module: str = ""  # that is imported; the name where empty
-    pip_packages: str = ""  # that install it; the module where empty
-    unsupported_reason: Callable[[ConicProgram], str] = accept_all  # empty where it is supported
+    cone_types: frozenset[ConeType]
+    certifies_infeasibility: bool
+    session_factory: Callable[[ConicProgram, float], SolverSession]
+    module: str = ""
+    pip_packages: str = ""
+    unsupported_reason: Callable[[ConicProgram], str] = accept_all
     takes_quadratic_cost: bool = True
 
     def __post_init__(self) -> None:

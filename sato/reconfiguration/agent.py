@@ -134,8 +134,8 @@ class Agent:
 
         Args:
             time: Time since the start of the mission [s].
-            state: Position and velocity that the agent measures; those of the first call at a
-                control instant count.
+            state: Position [m] and velocity [m/s] that the agent measures, as an array (2 d,);
+                those of the first call at a control instant count.
             inbox: Messages that the neighbors returned in the last round; those of earlier
                 stages are ignored.
             seen: All that the agent has seen so far and its mission does not list as known, as it

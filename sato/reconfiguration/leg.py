@@ -35,7 +35,7 @@ class Loss(Definition):
     kind: Annotated[
         Literal["middle", "random", "agents"], "nearest the center, drawn, or named one by one"
     ]
-    share: Annotated[float | None, Positive, Lt(1), "of the live agents"] = None
+    share: Annotated[float | None, Positive, Lt(1), "share of the live agents"] = None
     agents: Annotated[Indices, "indices, for kind agents"] = ()
     at_step: Annotated[Count, "control steps after the start of the leg"] = 0
     body: Annotated[
@@ -111,7 +111,7 @@ class Leg(Definition):
         "bid on the first m targets, or on all M; nearest for a list without keep_order, if absent",
     ] = LATER
     time_factor: Annotated[
-        float | None, Ge(1), "with steps auto: steps over the least; 1.5 if absent"
+        float | None, Ge(1), "with steps auto: ratio of steps to the least; 1.5 if absent"
     ] = None
 
     def completed(self) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class Leg(Definition):
 
     @cached_property
     def targets(self) -> Float[Array, "targets n"]:
-        """States to reach, an array that cannot be written to; known once drawn.
+        """States to reach, in SI units, in an array that cannot be written to; known once drawn.
 
         Unless the choice is free, every prefix keeps the shape.
         """
@@ -152,7 +152,12 @@ class Leg(Definition):
         return states
 
     def place(self, demand: int, axes: int, min_distance: float = 0.0) -> Points:
-        """Return the targets as points in their order; `demand` of a shape without a count.
+        """Return the targets as points in their order.
+
+        Args:
+            demand: Number of targets of a shape without a count.
+            axes: Dimension of space.
+            min_distance: Least distance of two targets [m].
 
         Raises:
             InputError: The shape does not fit the count, the distance or the model.

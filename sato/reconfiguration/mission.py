@@ -94,7 +94,7 @@ class Reconfiguration(PlannedLimits, Mission):
         "obstacles not known, and lost vehicles, are seen within; comm_radius_m if absent",
     ] = None
     priority: Annotated[
-        Coordinates | None, SWARM, "one a vehicle; the lower gives way, else who spent less"
+        Coordinates | None, SWARM, "number of each; the lower gives way, else who spent less"
     ] = None
     target_count: Annotated[
         int | None,
@@ -375,7 +375,7 @@ class Reconfiguration(PlannedLimits, Mission):
 
     @cached_property
     def initial_states(self) -> Float[Array, "agents n"]:
-        """States of all agents, those that join later last, where each starts; once drawn."""
+        """States in which all agents start, in SI units, those that join last; once drawn."""
         joins = [states_of(join.start) for leg in self.legs for join in leg.joins]
         return np.concatenate([states_of(self.start), *joins])
 
@@ -418,7 +418,11 @@ class Reconfiguration(PlannedLimits, Mission):
         return self.assignment == "given" and not self.has_equal_radii
 
     def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
-        """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
+        """Find the two targets with the least room: their distance, and R of their vehicles [m].
+
+        Args:
+            targets: Positions [m] and velocities [m/s].
+        """
         place, R = self.scale_separations(targets[:, : self.axes]), self.largest_separation
         count = min(len(place), self.vehicle_count)
         if not self.keeps_targets_by_pair or count < 2:

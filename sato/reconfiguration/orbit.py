@@ -103,7 +103,7 @@ class Chief(Definition):
     def drift_free_velocities(
         self, position: Float[Array, "k d"], t: float, where: str, times: Sequence[float]
     ) -> Float[Array, "k d"]:
-        """Return J2-invariant velocities, with which vehicles stay about where they are.
+        """Return J2-invariant velocities [m/s], with which vehicles stay about where they are.
 
         They are the same for every model, so that runs with different models can be compared.
 
@@ -133,7 +133,11 @@ class Chief(Definition):
             ) from error
 
     def suggest_start(self, times: Sequence[float]) -> str:
-        """Say from where along its orbit vehicles could stay out of its plane at these times."""
+        """Say from where along its orbit vehicles could stay out of its plane at these times.
+
+        Args:
+            times: Times [s].
+        """
         flat = "positions in the plane (z = 0)"
         if self.semi_major_axis is None:
             return f"another start along the orbit would do, or {flat}"

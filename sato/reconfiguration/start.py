@@ -52,7 +52,7 @@ class Random(Definition):
         occupied: Float[Array, "k d"],
         rng: np.random.Generator,
     ) -> Float[Array, "count d"]:
-        """Draw until the graph is as it is wanted.
+        """Draw positions [m] until the graph is as it is wanted.
 
         Args:
             mission: Space and radii.

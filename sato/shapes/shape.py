@@ -49,7 +49,12 @@ class Shape(Definition):
         """
 
     def place(self, count: int, axes: int, min_distance: float = 0.0) -> Float[Array, "count axes"]:
-        """Return positions in the space of the model.
+        """Return positions in the space of the model [m].
+
+        Args:
+            count: Number of targets.
+            axes: Dimension of space.
+            min_distance: Least distance of two targets [m].
 
         Raises:
             InputError: The shape does not fit the count, the distance or the model.
@@ -66,7 +71,7 @@ class Shape(Definition):
         return placed
 
     def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
-        """Return the velocity at each position, where the shape gives them."""
+        """Return the velocity at each position [m/s], where the shape gives them."""
         return None
 
     @property
@@ -147,7 +152,7 @@ class Points(Shape):
 
     @property
     def listed(self) -> Float[Array, "k d"]:
-        """All points, of the file where there is one."""
+        """All points [m], of the file where there is one."""
         return np.asarray(read_points(Path(self.file)) if self.file else self.positions)
 
     def draw(self, count: int, axes: int) -> Drawing:
@@ -159,7 +164,11 @@ class Points(Shape):
         return Drawing(listed[self._order(listed, count)], middle)
 
     def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
-        """Return the velocity at each position, where they are given."""
+        """Return the velocity at each position [m/s], where they are given.
+
+        Raises:
+            InputError: There are not as many rows as points.
+        """
         if self.velocities is None:
             return None
         if self.positions is None and (len(self.velocities) < count or not self.keep_order):
