@@ -53,6 +53,12 @@ def prepare_docstring(app, what, name, obj, options, lines):
     lines[:] = found
 
 
+def link_files(app, docname, source):
+    """Let links to files outside of the pages lead to copies of these files."""
+    source[0] = source[0].replace("](../", "](path:../")
+
+
 def setup(app):
-    """Prepare docstrings before napoleon reads them."""
+    """Prepare docstrings before napoleon reads them, and pages before they are parsed."""
     app.connect("autodoc-process-docstring", prepare_docstring, priority=400)
+    app.connect("source-read", link_files)
