@@ -1,4 +1,4 @@
-# Targets: demo, test, lint, docs, lessons, wheel, three. Each creates .venv and installs what it needs.
+# Targets: demo, test, lint, docs, lessons, gallery, wheel, three. Each creates .venv and installs what it needs.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -8,7 +8,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint docs lessons wheel three
+.PHONY: demo test lint docs lessons gallery wheel three
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -38,6 +38,10 @@ lessons: .venv/installed-dev
 	$(BIN)/python -m sphinx -W --keep-going -b html -D nb_execution_mode=force docs docs/_build/html
 	@echo "The lessons are in docs/_build/html/lessons/index.html"
 	@echo "The notebooks with outputs are in docs/_build/jupyter_execute/lessons"
+
+# All pictures of the gallery, or one: make gallery FIGURE=sato-3.
+gallery: .venv/installed-dev
+	$(BIN)/python scripts/make_gallery.py $(FIGURE)
 
 # Build the wheel, install it into an empty environment, and run every built-in scenario from it.
 wheel: .venv/installed-dev

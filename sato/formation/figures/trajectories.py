@@ -41,20 +41,22 @@ class LegScene(NamedTuple):
     title: str
     formation: DesiredFormation
     path: Float[Array, "instants agents 3"]  # [m]
+    missed: Float[Array, "agents 3"]  # points of the agents; none where the leg converged [m]
     reassignment_positions: Float[Array, "changes 3"]  # at new assignments under way [m]
     is_avoiding: Bool[Array, " agents"]  # at the end
     bounds: AxisBounds
 
 
-def plot_paths(record: FormationRecord) -> Figure:
+def plot_paths(record: FormationRecord, shown_time: float = SHOWN_TIME) -> Figure:
     """Plot the last 40 s of each leg from above, and from the side unless all are flat.
 
     All panels have one scale, in which vehicles are to scale too. Each leg is drawn in the
-    axes of its formation, aligned with the vehicles at the end.
+    axes of its formation, aligned with the vehicles at the end. A leg that did not converge has
+    lines from its vehicles to their points.
     """
     last = len(record.time) - 1
     legs = record.replay.legs or (FormationLegRecord(0, 0, last, last, completed=False),)
-    scenes = [_make_scene(record, leg) for leg in legs]
+    scenes = [_make_scene(record, leg, shown_time) for leg in legs]
     views = [TOP] if all(s.formation.is_flat for s in scenes) else [TOP, SIDE]
     size = np.max([s.bounds.size for s in scenes], axis=0)
     size[0] = max(size[0], 0.75 * size[1])
@@ -72,7 +74,7 @@ def plot_paths(record: FormationRecord) -> Figure:
             _draw_scene(ax, scene, view, size)
     add_titles(cells[:, 0], [scene.title for scene in scenes])
     disc: dict[str, Any] = {"ls": "", "marker": "o", "ms": 5, "mew": 0}
-    path = f"last {SHOWN_TIME:g} s, paler is earlier"
+    path = f"last {shown_time:g} s, paler is earlier"
     key = [
         Line2D([], [], color=BLUE, lw=1.2, label=path),
         Line2D([], [], **disc, color=DARK_GRAY, label=f"vehicle, {VEHICLE_DIAMETER:g} m wide"),
@@ -83,9 +85,9 @@ def plot_paths(record: FormationRecord) -> Figure:
     return figure
 
 
-def _make_scene(record: FormationRecord, leg: FormationLegRecord) -> LegScene:
+def _make_scene(record: FormationRecord, leg: FormationLegRecord, shown_time: float) -> LegScene:
     formation = record.mission.gains[leg.leg].formation
-    first = np.searchsorted(record.time, record.time[leg.last_instant] - SHOWN_TIME)
+    first = np.searchsorted(record.time, record.time[leg.last_instant] - shown_time)
     window = np.arange(max(leg.first_instant, int(first)), leg.last_instant + 1)
     assignment, position = record.frames.point_index, record.frames.position
     held, end = formation.points[assignment[leg.last_instant]], position[leg.last_instant]
@@ -104,7 +106,8 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord) -> LegScene:
     is_avoiding = record.frames.avoiding[leg.last_instant]
     kept = path[subsample(len(path), MAX_PIECES)]
     bounds = AxisBounds.enclosing(("x", "y", "z"), kept, formation.points, margin=MARGIN)
-    return LegScene(title, formation, kept, path[changed], is_avoiding, bounds)
+    missed = held if not leg.completed else held[:0]
+    return LegScene(title, formation, kept, missed, path[changed], is_avoiding, bounds)
 
 
 def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Array, " 3"]) -> None:
@@ -115,6 +118,10 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
         ax.add_collection(LineCollection(list(points[pairs]), **edges))
     ax.plot(*points.T, "+", ms=4.7, mew=0.7, color=GRAY, zorder=1.2, label="point of the formation")
     ax.add_collection(_fading_paths(path))
+    if len(scene.missed):
+        ways: dict[str, Any] = {"colors": RED, "lw": 0.8, "ls": ":", "label": "to its own point"}
+        ends = np.stack([path[-1], scene.missed[:, view]], axis=1)
+        ax.add_collection(LineCollection(list(ends), zorder=2.5, **ways))
     colors = np.where(scene.is_avoiding, ORANGE, DARK_GRAY)
     if view == SIDE:
         half = np.array([VEHICLE_DIAMETER / 2, 0.0])
