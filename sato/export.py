@@ -186,8 +186,9 @@ def _find_obstacle(data: RunData, path: Path, format: str) -> str:
         return f'there is no format "{format}", only {join_names(DEFAULT_PATHS, "and")}'
     if format == "rrd" and find_spec("rerun") is None:
         return f"the format rrd needs Rerun, which is not installed; {INSTALL_RERUN} would do"
-    if format in ("csv", "rrd"):
-        return f"{path}: is a folder, and one file is written" if path.is_dir() else ""
+    if format != "oem":
+        written = "a table" if format == "csv" else "a recording"
+        return f"{path}: is a folder, and {written} goes into a file" if path.is_dir() else ""
     if "chief" not in data:
         return "an OEM needs a [chief], and this run has none; the format csv needs no chief"
     if path.exists() and not path.is_dir():

@@ -173,7 +173,7 @@ def color_by_target(targets: Targets) -> Coloring:
 
 def color_by_separation(nearest: Float[Array, "instants agents"]) -> Coloring:
     """Color by the distance to the nearest other vehicle [m]."""
-    return Coloring("distance to the nearest", nearest, "m")
+    return Coloring("separation", nearest, "m")
 
 
 def color_by_speed(

@@ -46,7 +46,7 @@ def make_scene(data: RunData, mission: Formation) -> SwarmScene:
         targets=targets,
         colorings=(
             color_by_target(targets),
-            Coloring("avoidance", avoiding, "", (("free", BLUE), ("avoids others", ORANGE))),
+            Coloring("avoidance", avoiding, "", (("free", BLUE), ("avoiding", ORANGE))),
             color_by_separation(nearest),
             color_by_speed(frames.velocity, alive),
             color_by_component(frames.component),

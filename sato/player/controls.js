@@ -11,6 +11,7 @@ function element(name, attributes = {}, text = "") {
   return found;
 }
 
+const shareOf = (run, time) => (time - run.start) / (run.end - run.start || 1);
 const plural = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 const rounded = (value) => String(Number(value.toPrecision(4)));
 const withUnit = (value, unit) => `${rounded(value)}${unit ? ` ${unit}` : ""}`;
@@ -31,8 +32,10 @@ class Painter {
     this.ramp = RAMP.map((color) => new THREE.Color(color));
   }
 
-  // Colors of all vehicles at an instant.
+  // Colors of all vehicles at an instant; they change from one to the next only.
   paint(coloring, k) {
+    if (this.coloring === coloring && this.instant === k) return;
+    Object.assign(this, { coloring, instant: k });
     const { run, colors } = this, n = run.agents, color = new THREE.Color();
     coloring.range ??= findRange(coloring.values);
     const palette = coloring.categories.map(([, name]) => new THREE.Color(name));
@@ -44,7 +47,6 @@ class Painter {
       else this.pick(coloring.range, value, color);
       color.toArray(colors, 3 * i);
     }
-    return colors;
   }
 
   pick([low, high], value, color) {
@@ -83,15 +85,29 @@ class Painter {
   }
 }
 
+// A line at a share of the width; as it is only moved, nothing below is drawn again.
+class Cursor {
+  constructor(parent) {
+    this.line = element("div", { class: "cursor" });
+    const frame = element("div", { class: "cursors" });
+    frame.append(this.line);
+    parent.append(frame);
+  }
+
+  move(share) {
+    this.line.style.transform = `translateX(${(100 * share).toFixed(2)}%)`;
+  }
+}
+
 // A curve over time with the least that is allowed, and a cursor.
 class Curve {
   constructor(run, series, parent) {
-    Object.assign(this, { run, series });
+    this.series = series;
     this.heading = element("h2");
     const svg = element("svg", { viewBox: "0 0 240 84", preserveAspectRatio: "none" });
     const known = Array.from(series.values).filter((value) => !Number.isNaN(value));
-    const top = 1.08 * Math.max(series.limit, ...known.slice(0, 1), known.reduce((a, b) => Math.max(a, b), 0)) || 1;
-    const x = (t) => 26 + 214 * (t - run.start) / (run.end - run.start || 1);
+    const top = 1.08 * known.reduce((a, b) => Math.max(a, b), series.limit) || 1;
+    const x = (t) => 26 + 214 * shareOf(run, t);
     const y = (value) => 78 - 72 * value / top;
     let path = "", isDrawing = false;
     series.values.forEach((value, k) => {
@@ -111,17 +127,18 @@ class Curve {
       element("text", { x: 24, y: 80, "text-anchor": "end" }, "0"),
       element("text", { x: 238, y: level < 66 ? level + 11 : level - 3, "text-anchor": "end" },
         `${series.limit_name} ${withUnit(series.limit, series.unit)}`),
-      this.cursor = element("path", { stroke: "#222" }),
     );
-    this.x = x;
-    parent.append(this.heading, svg);
+    const curve = element("div", { class: "curve" });
+    curve.append(svg);
+    parent.append(this.heading, curve);
+    this.cursor = new Cursor(curve);
   }
 
-  show(time, k) {
+  show(share, k) {
     const { series } = this, value = series.values[k];
     const text = Number.isNaN(value) ? "none" : withUnit(value, series.unit);
     this.heading.textContent = `${series.name}: ${text}`;
-    this.cursor.setAttribute("d", `M${this.x(time).toFixed(1)} 2V80`);
+    this.cursor.move(share);
   }
 }
 
@@ -133,15 +150,12 @@ class Lanes {
     this.rows = kinds.sort((a, b) => (a in EVENT_COLORS ? -1 : 0) - (b in EVENT_COLORS ? -1 : 0));
     for (const name of ["", ...this.rows]) names.append(element("div", {}, name.replaceAll("_", " ")));
     svg.style.height = `${13 * (this.rows.length + 1)}px`;
-  }
-
-  share(time) {
-    return (time - this.run.start) / (this.run.end - this.run.start || 1);
+    this.cursor = new Cursor(svg.parentElement);
   }
 
   draw() {
     const { run, svg } = this, wide = svg.clientWidth - 16; // the slider's thumb is 16 px wide
-    this.x = (time) => 8 + wide * this.share(time);
+    this.x = (time) => 8 + wide * shareOf(run, time);
     svg.replaceChildren();
     run.stages.forEach(([start, name], s) => {
       const end = s + 1 < run.stages.length ? run.stages[s + 1][0] : run.end;
@@ -157,11 +171,6 @@ class Lanes {
         element("path", { d: ticks, "stroke-width": 2, stroke: EVENT_COLORS[kind] || "#6b7c88" }),
       );
     });
-    svg.append(this.cursor = element("line", { y1: 0, y2: "100%", stroke: "#222" }));
-  }
-
-  show(time) {
-    for (const end of ["x1", "x2"]) this.cursor.setAttribute(end, this.x(time).toFixed(1));
   }
 
   describe({ kind, time, agents, count }) {

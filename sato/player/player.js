@@ -1,6 +1,7 @@
 // The page: reads the run, and connects scene, side panel and time line.
 const SECONDS_SHOWN = 30; // for a whole flight, at the speed that is chosen first
 const SPEEDS = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+const TEXT_PERIOD = 100; // of texts and cursors in play [ms]
 const MOST_TRAILS = 400000; // vehicles times instants, up to which trails are shown at first
 const find = (id) => document.getElementById(id);
 
@@ -31,7 +32,7 @@ class Player {
       `${run.system}, ${plural(run.agents, "vehicle")}, ${this.format(run.end - run.start)}`,
       `sato ${run.version}`, run.note].filter(Boolean).join("; ");
     find("scale").textContent = `grid: ${rounded(view.spacing)} m; ${thinned}positions within ` +
-      `${run.error.toPrecision(2)} m, cubic between instants; two discs touch at the required distance`;
+      `${run.error.toPrecision(2)} m, cubic between instants; bodies touch at the required distance, but are ≥ ${LEAST_SIZE} px wide`;
     colorings.forEach(({ name }, i) => find("coloring").append(element("option", { value: i }, name)));
     const toggle = (name, text, isOn) => {
       const box = element("input", { type: "checkbox", id: `show-${name}` });
@@ -149,6 +150,7 @@ class Player {
   toggle() {
     if (!this.isPlaying && this.time >= this.run.end) this.time = this.run.start;
     this.isPlaying = !this.isPlaying;
+    this.refresh();
     find("play").textContent = this.isPlaying ? "Pause" : "Play";
   }
 
@@ -161,27 +163,27 @@ class Player {
     const passed = Math.min((now - (this.now ?? now)) / 1000, 0.25);
     this.now = now;
     if (this.isPlaying) {
-      this.seek(this.time + this.speed * passed);
+      this.time = Math.min(this.time + this.speed * passed, this.run.end);
+      this.refresh(now - (this.told ?? 0) >= TEXT_PERIOD);
       if (this.time >= this.run.end) this.toggle();
     }
     this.view.render();
     requestAnimationFrame((later) => this.advance(later));
   }
 
-  // Show the time; colors and texts change from instant to instant only.
-  refresh() {
-    const { run, time, view } = this, k = lastUntil(run.time, time);
+  // Show the time. Browsers take longer to draw texts than bodies, so play leaves them out.
+  refresh(tells = true) {
+    const { run, time, view, painter } = this, k = lastUntil(run.time, time);
     const coloring = run.colorings[find("coloring").value];
-    const state = [k, coloring.name, view.followed, ...Object.values(this.options)].join();
-    if (state !== this.state) {
-      this.state = state;
-      this.painter.paint(coloring, k);
-      find("legend").replaceChildren(...this.painter.legend(coloring, k, this.options.lost));
-      find("details").textContent = this.describe(view.followed, k);
-    }
-    view.show(time, this.painter.colors, { ...this.options, colorsTargets: coloring.is_target });
-    for (const curve of this.curves) curve.show(time, k);
-    this.lanes.show(time);
+    painter.paint(coloring, k);
+    view.show(time, painter.colors, { ...this.options, colorsTargets: coloring.is_target });
+    if (!tells) return;
+    this.told = this.now;
+    find("legend").replaceChildren(...painter.legend(coloring, k, this.options.lost));
+    find("details").textContent = this.describe(view.followed, k);
+    const share = shareOf(run, time);
+    for (const curve of this.curves) curve.show(share, k);
+    this.lanes.cursor.move(share);
     find("seek").value = time;
     find("seek").setAttribute("aria-valuetext", this.format(time));
     find("time").textContent = `${this.format(time)} of ${this.format(run.end)}`;

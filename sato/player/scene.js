@@ -24,8 +24,7 @@ const BODY_FRAGMENT = `
   void main() {
     vec2 at = ring * (2.0 * gl_PointCoord - 1.0);
     float r = dot(at, at);
-    if (r > 1.0 && (ring == 1.0 || r < 1.7)) discard;
-    if (r > 2.89) discard;
+    if (r > 1.0 && (ring < 1.5 || r < 1.7 || r > 2.89)) discard;
     float soft = smoothstep(1.0, 1.0 - edge, sqrt(r));
     float depth = sqrt(max(1.0 - r, 0.0));
     float light = 0.62 + 0.38 * clamp(0.75 * depth - 0.45 * at.y - 0.35 * at.x, 0.0, 1.0);
@@ -173,7 +172,7 @@ class SwarmView {
     geometry.setAttribute("position", new THREE.BufferAttribute(corners, 3));
     geometry.computeVertexNormals();
     const material = new THREE.MeshLambertMaterial({
-      color: "#c9c4bb", opacity: 0.8, transparent: true, depthWrite: !this.run.flat,
+      color: "#d6d2ca", opacity: 0.65, transparent: true, depthWrite: !this.run.flat,
     });
     const mesh = this.add(new THREE.Mesh(geometry, material), 0);
     mesh.userData.velocity = velocity;
