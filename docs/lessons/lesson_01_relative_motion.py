@@ -221,7 +221,7 @@ assert worst["J2, linearized at the chief"] < worst["Clohessy–Wiltshire"] / 5
 # %% [markdown]
 # Within an orbit an averaged J2 is no better than none: what it leaves out, the part of J2 that
 # changes with the latitude, is as large as the average. The linearization about the chief has both.
-# What is left of its error is the curvature of gravity, of second order in the distance.
+# The rest of its error is the curvature of gravity, of second order in the distance.
 #
 # ## The drift-free condition
 #
@@ -261,10 +261,10 @@ plt.show()
 # Five centimeters a second too fast along the track, and the spacecraft falls back by 850 m an
 # orbit: a push forward raises the orbit, and a higher orbit takes longer.
 #
-# This condition belongs to the linear model. Under J2 the spacecraft drifts all the same. What is
-# conserved there is the energy: choose $\dot y$ such that the deputy has exactly the chief's
-# energy, J2 included, and it stays. `invariant_velocity` does so, and gives $\dot z$ for equal
-# inclinations, so that the nodes turn alike. Sec. VI.B uses such velocities.
+# This condition belongs to the linear model. Under J2 the spacecraft drifts all the same. There the
+# energy is conserved: choose $\dot y$ such that the deputy has exactly the chief's energy, J2
+# included, and it stays. `invariant_velocity` does so, and gives $\dot z$ for equal inclinations,
+# so that the nodes turn alike. Sec. VI.B uses such velocities.
 
 # %%
 orbits, each = 2 if small else 15, 12  # samples an orbit

@@ -12,11 +12,12 @@
 # The cost of a target is the least fuel with which an agent gets there, without regard to others
 # [Morgan2016, Problem 6]:
 #
-# $$\min_{\mathbf u}\ \sum_{k=0}^{T-1}\|\mathbf u[k]\|_1\,\Delta t
-#   \quad\text{subject to}\quad
-#   \mathbf x[k+1] = A\mathbf x[k] + B\mathbf u[k],\quad
-#   \|\mathbf u[k]\|_\infty \le U,\quad
-#   \mathbf x[0] = \mathbf x_0,\quad \mathbf x[T] = \mathbf x_f .$$
+# $$\begin{aligned}
+#   \min_{\mathbf u}\quad & \sum_{k=0}^{T-1}\|\mathbf u[k]\|_1\,\Delta t\\
+#   \text{subject to}\quad & \mathbf x[k+1] = A\mathbf x[k] + B\mathbf u[k],\quad
+#     \|\mathbf u[k]\|_\infty \le U,\quad k = 0, \dots, T-1,\\
+#   & \mathbf x[0] = \mathbf x_0,\quad \mathbf x[T] = \mathbf x_f .
+#   \end{aligned}$$
 #
 # This lesson solves it, derives its dual, reads from the dual *when* to burn, and uses the dual to
 # check an answer without trusting the solver that found it.
@@ -37,9 +38,9 @@ small = os.environ.get("SATO_LESSON_SIZE") == "small"  # fewer steps, for tests
 # %% [markdown]
 # ## Eliminate the states
 #
-# Roll the dynamics forward: the last state is the free motion plus what each control adds, $\mathbf
-# x[T] = A^T\mathbf x_0 + \sum_k A^{T-1-k}B\,\mathbf u[k]$. With all controls in one vector $u$ and
-# $C = [A^{T-1}B\ \dots\ AB\ \ B]$ the program is
+# Roll the dynamics forward: the last state is the free motion plus what each control adds,
+# $\mathbf x[T] = A^T\mathbf x_0 + \sum_k A^{T-1-k}B\,\mathbf u[k]$. With all controls in one vector
+# $u$ and $C = [A^{T-1}B\ \dots\ AB\ \ B]$ the program is
 #
 # $$\min_u\ \Delta t\,\|u\|_1 \quad\text{subject to}\quad C u = b,\quad |u_j| \le U,
 #   \qquad b = \mathbf x_f - A^T\mathbf x_0 .$$
@@ -220,7 +221,8 @@ v = cp.Variable(4)
 p = cp.reshape(C.T @ v, (T, 2), order="C") / dt
 socp = cp.Maximize(v @ b - U * dt * cp.sum(cp.pos(cp.norm(p, 2, axis=1) - 1)))
 cp.Problem(socp).solve(solver=cp.CLARABEL)
-print(f"‖·‖₁: {on_axes.fuel:.4f} m/s, ‖·‖₂: {turned.fuel:.4f} m/s, bound {socp.value:.4f} m/s")
+print(f"‖·‖₁: {on_axes.fuel:.4f} m/s")
+print(f"‖·‖₂: {turned.fuel:.4f} m/s, bound {socp.value:.4f} m/s")
 assert np.isclose(turned.fuel, socp.value, rtol=1e-5)
 assert turned.fuel < on_axes.fuel
 

@@ -111,8 +111,8 @@ print(f"of these, {sum(clear)} keep {R} m on straight paths")
 assert sum(clear) < len(tied) / 10
 
 # %% [markdown]
-# The shift by $(7, 3)$ moves every agent to the upper right, so nearly everything ties. An auction
-# that knows only fuel picks any of them.
+# Every target is to the upper right of every start, so *all* assignments tie. An auction that knows
+# only fuel picks any of them.
 #
 # ## A convex tie-break
 #
@@ -145,8 +145,9 @@ def squares(start, targets):
 
 
 best = solve_assignment(cost + w * squares(eight, goals))
-extra = cost[np.arange(8), best].sum() / cost[np.arange(8), solve_assignment(cost)].sum() - 1
-print(f"with the tie-break: {least_distance(eight, goals[best]):.3f} m, fuel +{100 * extra:.3f} %")
+paid, least = (cost[np.arange(8), each].sum() for each in (best, solve_assignment(cost)))
+print(f"with the tie-break {least_distance(eight, goals[best]):.3f} m apart,")
+print(f"for {100 * (paid / least - 1):.3f} % more fuel")
 assert least_distance(eight, goals[best]) >= R
 
 # %% [markdown]
@@ -250,8 +251,8 @@ plt.show()
 #
 # ## In orbit
 #
-# There, the straight distance means nothing: free motion carries a spacecraft along an ellipse.
-# What takes the place of $d^2$ is the least control energy,
+# There, the straight distance means nothing: free motion carries a spacecraft along an ellipse. The
+# least control energy takes the place of $d^2$,
 #
 # $$E = \min \Delta t\sum_k\|\mathbf u[k]\|_2^2 = \Delta t\,b^T(CC^T)^{-1}b ,$$
 #

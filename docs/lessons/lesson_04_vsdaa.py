@@ -40,7 +40,7 @@ from sato.network.graph import CommunicationGraph
 small = os.environ.get("SATO_LESSON_SIZE") == "small"  # fewer agents, for tests
 
 # %% [markdown]
-# ## The program, in forty lines
+# ## The program
 #
 # A target for sale again has a negative price, so that its size still counts. One thing is not in
 # the paper: a bid carries the number of its bidder. Why, comes below.
@@ -107,7 +107,9 @@ def run_by_hand(cost, graph, m, epsilon, patience):
 # %% [markdown]
 # ## Four agents in a row
 #
-# They stand in a row, and each hears those beside it: $D = 3$. Everybody wants target 0 or 1.
+# They stand in a row, and each hears those beside it: $D = 3$. Everybody wants target 0 or 1. The
+# table shows for each agent the target of its last bid and the prices that it knows; a star marks a
+# bid.
 
 # %%
 cost = np.array([
@@ -126,7 +128,7 @@ epsilon = 0.5
 
 def print_rounds(history, targets):
     """Print what each agent holds, and the prices that it knows; a star marks a bid."""
-    print("round " + "".join(f"agent {i}: holds, knows " for i in range(4)))
+    print("round  " + "".join(f"agent {i}".ljust(22) for i in range(4)).rstrip())
     for k, line in enumerate(history, 1):
         cells = [
             f"{'*' if has_bid else ' '}{target}: {' '.join(f'{p:g}' for p in price[:targets])}"
@@ -144,9 +146,9 @@ print_rounds(history, 4)
 # %% [markdown]
 # Do the first rounds with a pencil.
 #
-# *Round 1.* No prices yet. Agent 2 sees costs $1, 4, 4, 6$: $v = 1$, $w = 4$, so it bids $0 + 4 - 1
-# + 0.5 = 3.5$ on target 0. Agents 0 and 1 bid $2.5$ and $1.5$ on the same target. Agent 3 sees $3,
-# 2, 5, 5$, and bids $3 - 2 + 0.5 = 1.5$ on target 1.
+# *Round 1.* No prices yet. Agent 2 sees costs $1, 4, 4, 6$, so $v = 1$ and $w = 4$: it bids $w -
+# v + \varepsilon = 3.5$ on target 0. Agents 0 and 1 bid $2.5$ and $1.5$ on the same target. Agent 3
+# sees $3, 2, 5, 5$, and bids $1.5$ on target 1.
 #
 # *Round 2.* Agent 1 hears $2.5$ and $3.5$, both above its own $1.5$. It is outbid. Now $c + |p| =
 # 5.5, 3, 6, 7$, so it takes target 1 and bids $0 + 5.5 - 3 + 0.5 = 3$. It has not heard of agent
@@ -329,7 +331,7 @@ agents, history = run_by_hand(cost, graph, 4, epsilon, 6)
 total = cost[2, :4] + [4.5, 3.5, 0, 0]
 v, w = np.sort(total)[:2]
 assert 0 + w - v + epsilon == 2.0 == history[4][2][0][2]
-# With p(0) = 6 agent 0 pays 7. To agent 1, who would be the next to bid, target 0 costs 2 + 6 = 8
+# With p(0) = 6 agent 0 pays 7. To agent 1, the next to bid, target 0 costs 2 + 6 = 8
 # and its own target 1 costs 3 + 4.5 = 7.5: nobody wants target 0 any more.
 assert cost[1, 0] + 6 > cost[1, 1] + agents[0].price[1]
 
@@ -339,8 +341,8 @@ assert cost[1, 0] + 6 > cost[1, 1] + agents[0].price[1]
 # Stop after $D$ quiet rounds in place of $2D$. Find an auction that then ends badly. What happened?
 
 # %% tags=["hide-cell"]
-# An agent's bid may take D rounds to reach another, who bids in turn, and that takes D rounds back.
-# Who stops after D quiet rounds misses the second bid, and keeps a target that it has lost.
+# A bid may take D rounds to reach another agent, which bids in turn, and that takes D rounds back.
+# An agent that stops after D quiet rounds misses the second bid, and keeps a target that it lost.
 failures, tried = [], 60 if small else 200
 for seed in range(tried):
     line, prices, *_ = draw_swarm(8, 8, seed, degree=3.0)

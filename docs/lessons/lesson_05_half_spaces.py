@@ -42,9 +42,9 @@ from problems.convexify import choose_normals, convexify
 #   n^TG(\mathbf x_j - \bar{\mathbf x}_i) \ge R_\text{col}
 #   \qquad\text{(eq. 38, divided by the norm)} .$$
 #
-# By Cauchy–Schwarz $\|G(\mathbf x_j - \bar{\mathbf x}_i)\| \ge n^TG(\mathbf x_j - \bar{\mathbf
-# x}_i)$, so the half-plane lies outside the disc (Proposition 4). What is lost is the other side of
-# the disc.
+# By Cauchy–Schwarz $\|G(\mathbf x_j - \bar{\mathbf x}_i)\| \ge n^TG(\mathbf x_j -
+# \bar{\mathbf x}_i)$, so the half-plane lies outside the disc (Proposition 4). The other side of
+# the disc is lost.
 
 # %%
 R = 1.0  # m
@@ -157,9 +157,8 @@ assert change < 1e-4 and all(b <= a + 1e-5 for a, b in pairwise(fuels))
 # the samples that it constrains.
 
 # %%
-shown = 4
-figure, panels = plt.subplots(1, shown, figsize=(12, 3.7), sharey=True, layout="constrained")
-for w, panel in enumerate(panels):
+figure, panels = plt.subplots(2, 2, figsize=(7.6, 7.8), sharey=True, layout="constrained")
+for w, panel in enumerate(panels.flat):
     nominal, found, normals = iterates[w], iterates[w + 1], all_normals[w]
     panel.fill(circle.real, circle.imag, color="C3", alpha=0.25)
     panel.plot(*relative_path(nominal).T, "--", color="gray", lw=1, label="nominal")
@@ -173,8 +172,9 @@ for w, panel in enumerate(panels):
     fuel = f"{found.fuel:.3f} m/s"
     panel.set(title=f"iteration {w + 1}: {fuel}", xlim=(-2.2, 2.2), ylim=(-2.2, 2.2))
     panel.set(aspect="equal", xlabel="x₂ − x₁ [m]")
-panels[0].set_ylabel("y₂ − y₁ [m]")
-panels[0].legend(loc="lower left")
+for panel in panels[:, 0]:
+    panel.set_ylabel("y₂ − y₁ [m]")
+panels[0, 0].legend(loc="lower left")
 plt.show()
 
 # %% [markdown]
