@@ -199,7 +199,7 @@ plt.show()
 
 # %%
 other = horizon.control_points(first.x, first.u)[None]
-nominal, table = alone, []
+nominal = alone
 for w in range(1, 10):
     relative = horizon.control_points(nominal.x, nominal.u)[None] - other
     normals = choose_normals(relative, horizon.required_separation)
@@ -221,8 +221,9 @@ axes.plot(*relative_path(by_product).T, color="C0", label="half-planes for hulls
 pieces = (horizon.control_points(by_product.x, by_product.u)[None] - other)[0]
 axes.plot(*pieces[:, 0].T, "o", color="C0", ms=4)
 for k in np.flatnonzero(np.linalg.norm(pieces, axis=2).min(axis=1) < 1.5):
-    axes.plot(*pieces[k].T, ".-", color="C1", lw=0.8, ms=4)
+    (points,) = axes.plot(*pieces[k].T, ".-", color="C1", lw=0.8, ms=4)
     draw_half_plane(axes, normals[0, k], "C1", shade=False, lw=0.6)
+points.set_label("control points, and their half-planes")
 axes.set(xlim=(-2.2, 2.2), ylim=(-2.2, 2.2), aspect="equal")
 axes.set(xlabel="x₂ − x₁ [m]", ylabel="y₂ − y₁ [m]")
 axes.legend(loc="lower left")
