@@ -61,11 +61,11 @@ class TransferProblem:
         model: Discrete model, A, B and z of each step.
         max_control: U, a number or an entry an axis [m/s²].
         max_speed: V, a number or an entry an axis [m/s].
-        fuel_norm: q.
-        control_norm: r.
+        fuel_norm: Norm q of the fuel: 1, 2 or "inf".
+        control_norm: Norm r of the control's limit.
         tie_break_rise: Relative rise of the weights, from the ends to the middle.
         objective: Fuel or energy.
-        speed_norm: s.
+        speed_norm: Norm s of the speed's limit.
 
     Raises:
         ValueError: A limit is not positive, or has not one entry for each axis.
