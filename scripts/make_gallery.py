@@ -266,7 +266,7 @@ def to_png(figure: Figure) -> bytes:
 def format_page() -> str:
     """Return docs/gallery.md."""
     parts = [
-        "---\norphan: true\n---\n\n# Gallery\n\nEvery figure and table of the three papers, drawn "
+        "# Gallery\n\nEvery figure and table of the three papers, drawn "
         "from runs of this repository. `make gallery` flies them\nall and draws docs/gallery, "
         "`make gallery FIGURE=sato-3` one; the scripts are scripts/make_gallery.py and\n"
         "scripts/gallery_pictures.py.\n"
