@@ -103,7 +103,7 @@ assert landed["J2, about the chief"] < landed["Clohessy–Wiltshire"] / 5
 #
 # ## Linearize about the trajectory (eqs. 7, 8)
 #
-# What is left of the third model is of second order: gravity is linearized at the chief, a
+# The error of the third model is of second order: gravity is linearized at the chief, a
 # kilometer away. The paper linearizes about a nominal trajectory $\mathbf x^0$ instead,
 #
 # $$\dot{\mathbf x} = A(\mathbf x^0)\,\mathbf x + B\mathbf u + z(\mathbf x^0),\qquad

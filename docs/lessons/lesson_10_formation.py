@@ -53,8 +53,8 @@ flown = rng.uniform(-4, 4, (n, 3)) * [1, 1, 0.2]  # where the vehicles are, in t
 # left is
 #
 # $$\sum_j \lvert w_j - e^{\mathrm j\psi} s_j \rvert^2
-#   = \sum_j \lvert w_j \rvert^2 + \lvert s_j \rvert^2
-#   - 2 \operatorname{Re}\Bigl(e^{-\mathrm j\psi} \sum_j \bar s_j w_j\Bigr),$$
+#   = \sum_j \bigl(\lvert w_j \rvert^2 + \lvert s_j \rvert^2\bigr) -
+#   2 \operatorname{Re}\Bigl(e^{-\mathrm j\psi} \sum_j \bar s_j w_j\Bigr),$$
 #
 # least where $\psi = \arg \sum_j \bar s_j w_j$: no singular value decomposition, and no reflection
 # to exclude.
@@ -328,7 +328,7 @@ assert runs["vsdaa"].summary["path_m"] < runs["none"].summary["path_m"]
 # formation flight not scale?
 
 # %% tags=["hide-cell"]
-# As a linear least-squares problem in the complex number a = c e^{jψ}: a = Σ s̄ w / Σ |s|².
+# Linear least squares in the complex number a = c e^{jψ}: a = Σ s̄ w / Σ |s|².
 s, w = (part[:, 0] + 1j * part[:, 1] for part in (points, flown))
 s, w = s - s.mean(), w - w.mean()
 a = np.sum(s.conj() * w) / np.sum(np.abs(s) ** 2)

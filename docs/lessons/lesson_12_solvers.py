@@ -250,7 +250,7 @@ plt.show()
 # ## Time
 #
 # One agent plans again every few seconds, and solves a handful of programs. A hundred agents in one
-# simulation solve thousands. What a model layer costs shows here too: the same Clarabel, called
+# simulation solve thousands. The cost of a model layer shows here too: the same Clarabel, called
 # directly and through CVXPY.
 
 # %%
@@ -319,8 +319,8 @@ assert boastful.dual_residual > 1e-4
 # ### Exercise 2
 #
 # A ray says more than "no". Let $t$ be the least number by which all rows must be relaxed, $b - A x
-# + t e \in \mathcal K$ (equations up to $\pm t$). Show that a ray with $b^T y = -1$ gives
-# $t \ge 1/\lVert y \rVert_1$, and that the best ray attains it (`relax_cones`).
+# + t e \in \mathcal K$ (equations up to $\pm t$). Show that a ray with $b^T y = -1$ gives $t \ge
+# 1/\lVert y \rVert_1$, and that the best ray attains it (`relax_cones`).
 
 # %% tags=["hide-cell"]
 # With |r| ≤ t the violation: −1 = bᵀy = yᵀ(b − A x) ≥ −t ‖y‖₁.
