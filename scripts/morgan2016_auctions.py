@@ -40,7 +40,7 @@ class Outcome(NamedTuple):
     targets: Int[Array, " agents"]
     target_counts: Int[Array, " agents"]  # m of each agent
     last_bid_round: int = 0
-    prices: Float[Array, " targets"] = np.zeros(0)  # their sizes
+    prices: Float[Array, " targets"] = np.zeros(0)  # negative: for sale again
 
     @classmethod
     def failed(cls, agents: int) -> "Outcome":
@@ -89,8 +89,7 @@ def run_printed(case: Case, count: int, epsilon: float, ids: bool) -> Outcome:
         found = run_vsdaa(VsdaaAuction(case.cost, case.graph, counts, epsilon, bidder_ids=ids))
     except OutOfTargets:
         return Outcome.failed(case.agents)
-    prices = np.abs(found.price[0])
-    return Outcome(found.target_index, found.target_count, found.last_bid_round, prices)
+    return Outcome(found.target_index, found.target_count, found.last_bid_round, found.price[0])
 
 
 def run_reading(
@@ -114,7 +113,7 @@ def run_reading(
     for number in range(1, MAX_ROUNDS):
         running = np.flatnonzero(count < quiet)
         if not len(running):
-            return Outcome(choice, m, last, np.abs(p[0]))
+            return Outcome(choice, m, last, p[0])
         for i in running:
             j = choice[i]
             if j < 0 or abs(p[i, j]) > old[i, j]:
