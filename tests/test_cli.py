@@ -22,6 +22,7 @@ from problems.conic import Infeasible
 from sato.cli import app
 from sato.console import print_summary, show_mission_progress
 from sato.reconfiguration.system import SYSTEM
+from sato.run_data import RunData
 from sato.summary import format_value
 
 TINY = """
@@ -288,6 +289,38 @@ def test_an_export_that_cannot_be_is_refused_in_a_sentence(home, words, code, sa
     call("run", "tiny.toml", "--quiet", "--out", "here")
     assert said in sentence(call("export", "here", *words), code)
     assert sorted(os.listdir("here")) == ["run.nc", "summary.json"]
+
+
+def test_player_is_written_beside_the_run_or_where_it_is_asked(home):
+    call("run", "tiny.toml", "--quiet", "--out", "here")
+    beside = call("player", "here")
+    assert (beside.exit_code, beside.stdout) == (0, "here/player.html\n")
+    there = call("player", "here/run.nc", "-o", "new/page.html")
+    assert (there.exit_code, there.stdout) == (0, "new/page.html\n")
+    assert Path("new/page.html").read_bytes() == Path("here/player.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere: there is no such run file"),
+        (["tiny.toml"], "tiny.toml: cannot be read as netCDF-4"),
+        (["here", "-o", "here"], "here: is a folder, and the player is one file"),
+        (["here", "-o", "/proc/page.html"], "/proc: cannot be written to"),
+        (["old"], "was written by sato 0.1, which reads it"),
+        (["cut"], "is not a run of sato, for it has no velocity"),
+    ],
+)
+def test_a_run_that_cannot_be_played_is_refused_in_a_sentence(home, words, said):
+    call("run", "tiny.toml", "--quiet", "--out", "here")
+    run = sato.load("here")
+    old, cut = run.data.assign_attrs(version="0.1"), run.data.drop_vars("velocity")
+    del old.attrs["format"]
+    for name, data in (("old", old), ("cut", cut)):
+        replace(run, recorded=RunData.from_xarray(data)).save(name)
+    before = sorted(os.listdir("here"))
+    assert said in sentence(call("player", *words))
+    assert sorted(os.listdir("here")) == before
 
 
 def test_in_orbit_the_fuel_of_each_spacecraft_is_told(capsys):

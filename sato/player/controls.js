@@ -37,7 +37,8 @@ class Painter {
     if (this.coloring === coloring && this.instant === k) return;
     Object.assign(this, { coloring, instant: k });
     const { run, colors } = this, n = run.agents, color = new THREE.Color();
-    coloring.range ??= findRange(coloring.values);
+    const isScale = !coloring.is_target && !coloring.categories.length;
+    if (isScale) coloring.range ??= findRange(coloring.values);
     const palette = coloring.categories.map(([, name]) => new THREE.Color(name));
     for (let i = 0; i < n; i++) {
       const value = coloring.values[k * n + i];

@@ -17,7 +17,11 @@ async function readRun(text) {
   targets.count = targets.position.shape[1];
   for (const name of ["position", "held"]) targets[name] = decode(targets[name]);
   if (links.radius === null) links.pairs = decode(links.pairs);
-  for (const one of [...run.colorings, ...run.series]) one.values = decode(one.values);
+  for (const series of run.series) series.values = decode(series.values);
+  for (const coloring of run.colorings) {
+    const about = coloring.values; // decoded when it is first asked for
+    Object.defineProperty(coloring, "values", { get: () => (about.values ??= decode(about)) });
+  }
   run.agents = run.diameter.length;
   run.start = run.time[0];
   run.end = run.time[run.time.length - 1];

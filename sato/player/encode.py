@@ -8,7 +8,6 @@ of differences along its first axis, and then all low bytes before all high ones
 import json
 import struct
 import zlib
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -69,7 +68,7 @@ def encode_scene(scene: SwarmScene, about: dict[str, Any]) -> bytes:
         targets = targets._replace(stage=targets.stage[k])
     header = about | {
         "every": every,
-        "time": [round(t, 6) for t in scene.time[k].tolist()],
+        "time": [_round(t) for t in scene.time[k]],
         "bounds": [low.tolist(), high.tolist()],
         "flat": scene.is_flat,
         "planar": scene.position.shape[2] == 2,
@@ -89,7 +88,7 @@ def encode_scene(scene: SwarmScene, about: dict[str, Any]) -> bytes:
             one._asdict() | {"values": writer.add(one.values[k])} for one in scene.colorings
         ],
         "series": [one._asdict() | {"values": writer.add(one.values[k])} for one in scene.series],
-        "stages": scene.stages,
+        "stages": [(_round(start), name) for start, name in scene.stages],
         "events": _gather_events(scene),
         "obstacles": [
             {
@@ -117,12 +116,15 @@ def _encode_links(links: Links, every: int, writer: ArrayWriter) -> dict[str, An
 def _gather_events(scene: SwarmScene) -> list[dict[str, Any]]:
     """Gather events of one kind and time; the first few of their agents are listed."""
     gathered: dict[tuple[str, float], list[int]] = {}
-    number = Counter[tuple[str, float]]()
     for event in scene.events:
-        key = (str(event["kind"]), float(event["time"]))
+        key = (str(event["kind"]), _round(event["time"]))
         gathered.setdefault(key, []).extend(map(int, event["agents"]))
-        number[key] += 1
     return [
         {"kind": kind, "time": time, "agents": agents[:LISTED_AGENTS], "count": len(agents)}
         for (kind, time), agents in gathered.items()
     ]
+
+
+def _round(time: float) -> float:
+    # Events are at instants, also after the rounding.
+    return round(float(time), 6)

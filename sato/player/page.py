@@ -11,6 +11,7 @@ from typing import Any
 from sato.atomic import replace_atomically
 from sato.check.common import incomplete_reason
 from sato.player.encode import encode_scene
+from sato.scenario.errors import InputError
 from sato.scene import SwarmScene
 
 SCRIPTS = ("data.js", "scene.js", "controls.js", "player.js")
@@ -29,8 +30,11 @@ def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -
         The path.
 
     Raises:
+        InputError: The path is that of a folder.
         OSError: The file cannot be written; one that was there is kept.
     """
+    if path.is_dir():
+        raise InputError("", f"{path}: is a folder, and the player is one file")
     title = f"{attributes['name']}, seed {attributes['seed']}"
     about = {
         "title": title,

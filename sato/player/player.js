@@ -91,6 +91,8 @@ class Player {
       const share = (event.offsetX - 8) / (drawing.clientWidth - 16);
       this.seek(here(event)?.time ?? run.start + share * (run.end - run.start));
     });
+    // After a click, keys act on the player again.
+    addEventListener("click", ({ target, detail }) => detail && target.matches("button, input") && target.blur());
     addEventListener("resize", () => (lanes.draw(), this.refresh()));
     addEventListener("keydown", (event) => this.press(event));
   }

@@ -81,14 +81,14 @@ class SwarmView {
     this.obstacles = run.obstacles.map((hull) => this.addObstacle(hull));
     this.links = this.addSegments(LINK, 0.55, 2);
     this.held = this.addSegments(HELD, 0.9, 3);
-    this.targets = this.addMarks(run.targets.count, CROSS_FRAGMENT, 1);
-    this.bodies = this.addMarks(run.agents, BODY_FRAGMENT, 4);
+    this.targets = this.addMarks(run.targets.count, CROSS_FRAGMENT, 1, !run.flat);
+    this.bodies = this.addMarks(run.agents, BODY_FRAGMENT, 4, true);
     this.pairs = [];
     this.followed = -1;
   }
 
-  addMarks(count, fragmentShader, renderOrder) {
-    const geometry = new THREE.BufferGeometry(), { run } = this, isBody = renderOrder === 4;
+  addMarks(count, fragmentShader, renderOrder, depthTest) {
+    const geometry = new THREE.BufferGeometry();
     const attribute = (name, size) =>
       geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(count * size), size));
     ["position", "tint"].forEach((name) => attribute(name, 3));
@@ -97,7 +97,7 @@ class SwarmView {
     const least = LEAST_SIZE * this.renderer.getPixelRatio();
     const uniforms = { unit: { value: 1 }, least: { value: least }, chosen: { value: -1 } };
     const material = new THREE.ShaderMaterial({
-      vertexShader: BODY_VERTEX, fragmentShader, uniforms, transparent: true, depthTest: isBody || !run.flat,
+      vertexShader: BODY_VERTEX, fragmentShader, uniforms, transparent: true, depthTest,
     });
     return this.add(new THREE.Points(geometry, material), renderOrder);
   }
@@ -328,7 +328,7 @@ class SwarmView {
     };
     enclose(this.corner.toArray());
     for (const { position } of [run, run.targets]) {
-      const every = 3 * Math.ceil(position.length / 3e5);
+      const every = 3 * Math.ceil(position.length / 1e5);
       for (let i = 0; i < position.length; i += every) enclose(position.subarray(i, i + 3));
     }
     controls.target.copy(middle);
