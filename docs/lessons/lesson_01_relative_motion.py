@@ -103,7 +103,7 @@ dt = 60.0  # s, the step of Sec. VI.B
 E = expm(dt * np.block([[A, B], [np.zeros((3, 9))]]))
 Ad, Bd = E[:6, :6], E[:6, 6:]
 
-steps = discretize_zoh(cw, dt, count=10)  # what the planner uses
+steps = discretize_zoh(cw, dt, count=10)  # of sato
 assert np.allclose(Ad, steps.A[0], rtol=0, atol=1e-12)
 assert np.allclose(Bd, steps.B[0], rtol=0, atol=1e-12)
 
@@ -131,7 +131,7 @@ assert error[:3].max() < 1e-6
 # `J2` holds the exact equations, `LinearizedModel` their linearization at the chief (eqs. 7, 8),
 # and `SchweighartSedwick` a model with constant matrices, in which J2 is averaged over the orbit.
 #
-# As printed, eq. 11 freezes $A(t_k)$ over the step. The program integrates $\dot\Phi = A(t)\,\Phi$
+# As printed, eq. 11 freezes $A(t_k)$ over the step. sato integrates $\dot\Phi = A(t)\,\Phi$
 # instead. How much does that matter? Compare both with much shorter steps.
 
 # %%
@@ -150,7 +150,7 @@ def product(matrices):
 
 exact = product(discretize_zoh(j2, 7.5, int(span / 7.5)).A)
 above = np.array([0.0, 0.0, 1000.0, 0.0, 0.0, 0.0])  # m, the state to carry forward
-errors = {"Euler, $I + A\\Delta t$": [], "$A$ frozen (eq. 11)": [], "integrated": []}
+errors = {"Euler, I + A Δt": [], "A frozen (eq. 11)": [], "integrated": []}
 for h in lengths:
     times = np.arange(0, span, h)
     euler = [np.eye(6) + h * j2.A(t) for t in times]
@@ -172,12 +172,12 @@ plt.show()
 at_60 = {name: error[2] for name, error in errors.items()}
 for name, error in at_60.items():
     print(f"{name:26} {error:.1e} m at 60 s")
-assert at_60["integrated"] < 1e-6 < at_60["$A$ frozen (eq. 11)"] < 1
+assert at_60["integrated"] < 1e-6 < at_60["A frozen (eq. 11)"] < 1
 
 # %% [markdown]
 # Euler loses meters at any useful step. Freezing $A$ costs a decimeter at the paper's 60 s, less
 # than $R_\text{col} = 50$ m, but a target is to be met better than that. It is of first order in
-# $\Delta t$, and the integration costs little: the program has no reason to freeze.
+# $\Delta t$, and the integration costs little: there is no reason to freeze.
 #
 # ## Which model for how long?
 #

@@ -59,7 +59,7 @@ carried = np.eye(4)  # A^(T−1−k)
 for k in reversed(range(T)):
     C[:, k] = carried @ steps.B[k]
     carried = carried @ steps.A[k]
-assert np.allclose(C, reachability_matrix(steps))  # what the program uses
+assert np.allclose(C, reachability_matrix(steps))  # of sato
 C = C.reshape(4, 2 * T)
 
 u = cp.Variable(2 * T)
@@ -141,8 +141,8 @@ assert np.allclose(u.value.reshape(T, 2)[is_clear], rule[is_clear], atol=1e-5)
 # ## A certificate
 #
 # A solver says "optimal". Believe it, or check: compute $b - Cu$, the fuel, and the bound at
-# $\lambda$. If the first is zero and the others agree, $u$ *is* optimal, whoever found it. The
-# product does so with every answer. `solve_minimum_fuel` shares $C$ among all targets, which makes
+# $\lambda$. If the first is zero and the others agree, $u$ *is* optimal, whoever found it. sato
+# does so with every answer. `solve_minimum_fuel` shares $C$ among all targets, which makes
 # thousands of these programs cheap.
 
 
@@ -257,7 +257,8 @@ plt.show()
 # ### Exercise 1
 #
 # From rest to rest over $d$ on one axis, burn fully for $\beta$ whole steps, coast, and brake for
-# $\beta$ steps. Show that $d = U\Delta t^2\beta(T - \beta)$ and that the program finds these burns.
+# $\beta$ steps. Show that $d = U\Delta t^2\beta(T - \beta)$ and that `solve_minimum_fuel` finds
+# these burns.
 
 # %% tags=["hide-cell"]
 # The speed while it coasts is Uβ Δt. It lasts T − 2β steps, and both burns cover half of it:

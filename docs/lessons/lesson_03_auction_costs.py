@@ -19,7 +19,7 @@
 #
 # and plans trajectories afterwards. Remark 3 says which cost $C$ to take: the fuel of the transfer
 # *without* collision avoidance. This lesson shows why that alone is a poor choice. Very many
-# assignments burn the same fuel, and in nearly all of them the paths cross.
+# assignments burn the same fuel, and in nearly all of them paths come too close.
 
 # %%
 import os
@@ -156,8 +156,8 @@ assert least_distance(eight, goals[best]) >= R
 # The same with random starts and targets on a square lattice. Every assignment is that of a real
 # auction: `run_vsdaa` with bid increment $\varepsilon$ is within $N\varepsilon$ of the optimum
 # (Proposition 2). So $\varepsilon$ must be small enough to see the tie-break. Two neighboring
-# targets at the spacing $s$ differ in $w d^2$ by the order of $w s^2$. The program takes
-# $\varepsilon = \tfrac12 w s^2$.
+# targets at the spacing $s$ differ in $w d^2$ by the order of $w s^2$. sato takes $\varepsilon =
+# \tfrac12 w s^2$.
 
 # %%
 N = 30 if small else 123
@@ -309,7 +309,7 @@ assert results["squared distance"][0] > 2 and results["E"][1] > R_orbit
 # %% [markdown]
 # Squared distance burns three times the fuel. In the assignment of least energy, paths of least
 # energy keep clear, for a few percent of fuel. In between, a share of the energy on top of the fuel
-# is what the program bids in orbit.
+# is what sato bids in orbit.
 #
 # ## Exercises
 #

@@ -40,7 +40,7 @@ from sato.network.graph import CommunicationGraph
 small = os.environ.get("SATO_LESSON_SIZE") == "small"  # fewer agents, for tests
 
 # %% [markdown]
-# ## The program
+# ## The three rules in code
 #
 # A target for sale again has a negative price, so that its size still counts. One thing is not in
 # the paper: a bid carries the number of its bidder. Why, comes below.
@@ -159,7 +159,7 @@ print_rounds(history, 4)
 # At the end all four have the same prices, and each a target of its own.
 
 # %%
-result = run_vsdaa(VsdaaAuction(cost, graph, np.full(4, 4), epsilon))  # the product
+result = run_vsdaa(VsdaaAuction(cost, graph, np.full(4, 4), epsilon))  # of sato
 assert [agent.target for agent in agents] == result.target_index.tolist()
 assert all(np.array_equal(a.price, p) for a, p in zip(agents, result.price, strict=True))
 assert len(history) == result.round_count
@@ -171,7 +171,7 @@ for i in range(4):
     axes.step(rounds, np.array(known) + 0.04 * i, where="post", label=f"agent {i}")
 last = result.last_bid_round
 axes.axvline(last, color="gray", lw=0.8)
-axes.text(last + 0.2, 0.3, f"last bid in round {last};\nthen 2D rounds and the way of the news")
+axes.text(last + 0.2, 0.3, f"last bid in round {last}: D rounds\nfor the news, 2D quiet ones")
 axes.set(xlabel="round", ylabel="price of target 0, as known", ylim=(0, 7))
 axes.set_xticks(rounds[::2])
 axes.legend(loc="upper left", ncol=2)

@@ -17,7 +17,7 @@
 # with $G$ picking the position. The set of allowed positions is the *outside* of a disc, which is
 # not convex: it has a hole. SATO replaces the outside by a half-plane that is inside of it (eq.
 # 38), solves the convex program, and repeats about the solution. This is sequential convex
-# programming, SCP (Method 2). In this lesson you draw every half-plane of every iteration.
+# programming, SCP (Method 2). In this lesson you draw the half-planes of every iteration.
 
 # %%
 from itertools import pairwise
@@ -191,10 +191,10 @@ plt.show()
 # Look closely at the last panel. The dots keep their distance, and the curve between them does not.
 # That is the subject of Lesson 6.
 #
-# ## The same with the product
+# ## The same with sato
 #
-# The program constrains the path between samples too: each piece has four control points, whose
-# convex hull contains it, and one normal for all four, the direction from the origin to the hull
+# sato constrains the path between samples too: each piece has four control points, whose convex
+# hull contains it, and one normal for all four, the direction from the origin to the hull
 # (`choose_normals`). `convexify` writes the rows, `AvoidanceProblem` solves.
 
 # %%
@@ -212,13 +212,13 @@ for w in range(1, 10):
     if change < 1e-3:
         break
 assert closest >= R
-by_product = found
+by_hulls = found
 
 figure, axes = plt.subplots(figsize=(5, 4.4), layout="constrained")
 axes.fill(circle.real, circle.imag, color="C3", alpha=0.25)
 axes.plot(*relative_path(iterates[-1]).T, color="gray", lw=1, label="half-planes at samples")
-axes.plot(*relative_path(by_product).T, color="C0", label="half-planes for hulls")
-pieces = (horizon.control_points(by_product.x, by_product.u)[None] - other)[0]
+axes.plot(*relative_path(by_hulls).T, color="C0", label="half-planes for hulls")
+pieces = (horizon.control_points(by_hulls.x, by_hulls.u)[None] - other)[0]
 axes.plot(*pieces[:, 0].T, "o", color="C0", ms=4)
 for k in np.flatnonzero(np.linalg.norm(pieces, axis=2).min(axis=1) < 1.5):
     (points,) = axes.plot(*pieces[k].T, ".-", color="C1", lw=0.8, ms=4)
@@ -228,7 +228,7 @@ axes.set(xlim=(-2.2, 2.2), ylim=(-2.2, 2.2), aspect="equal")
 axes.set(xlabel="x₂ − x₁ [m]", ylabel="y₂ − y₁ [m]")
 axes.legend(loc="lower left")
 plt.show()
-print(f"fuel of the guarantee: {100 * (by_product.fuel / iterates[-1].fuel - 1):.1f} %")
+print(f"fuel of the guarantee: {100 * (by_hulls.fuel / iterates[-1].fuel - 1):.1f} %")
 
 # %% [markdown]
 # ## Exercises
@@ -301,5 +301,5 @@ for w in range(10):
     closest.append(apart)
     fuel = sum(one.fuel for one in both)
     print(f"iteration {w + 1:2}: {fuel:.3f} m/s, closest {apart:.2f} m, change {change:.2f} m")
-print(f"with priority: {first.fuel + by_product.fuel:.3f} m/s")
+print(f"with priority: {first.fuel + by_hulls.fuel:.3f} m/s")
 assert change > 0.1 and min(closest[-2:]) < R

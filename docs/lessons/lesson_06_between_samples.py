@@ -69,8 +69,8 @@ plt.show()
 # %% [markdown]
 # ## A plan that keeps its distance at samples
 #
-# Take the crossing of Lesson 5 in seconds of flight, and vary the step. `plan_by_samples` is Method
-# 2 with eq. 38 at samples. `plan_by_hulls` constrains control points instead, see below.
+# Take the crossing of Lesson 5, a flight of 20 s, and vary the step. `plan_by_samples` is Method 2
+# with eq. 38 at samples. `plan_by_hulls` constrains control points instead, see below.
 
 # %%
 R, span, U = 1.0, 20.0, 0.15  # m, s, m/s²
@@ -171,12 +171,12 @@ def nearest_by_roots(b):
 by_roots = min(nearest_by_roots(b) for b in pieces)
 path = np.stack([first.x, second.x], axis=1)
 alive = np.ones(path.shape[:2], dtype=bool)
-product = separations(path[..., :2], path[..., 2:], alive, 1.0).minimum
+exact = separations(path[..., :2], path[..., 2:], alive, 1.0).minimum
 print(f"roots    {by_roots:.12f} m")
-print(f"product  {product.distance:.12f} m at {product.piece + product.fraction:.4f} s")
+print(f"sato     {exact.distance:.12f} m at {exact.piece + exact.fraction:.4f} s")
 print(f"50 samples a step  {fine.min():.12f} m")
-assert np.isclose(by_roots, product.distance, rtol=1e-10)
-assert fine.min() >= product.distance
+assert np.isclose(by_roots, exact.distance, rtol=1e-10)
+assert fine.min() >= exact.distance
 
 # %% [markdown]
 # ## A guarantee for the whole step
@@ -193,7 +193,7 @@ assert fine.min() >= product.distance
 # %%
 parts = np.arange(1, 33)
 bounds = [hull_distance(divide_pieces(pieces, k))[0].min() for k in parts.tolist()]
-shortfall = product.distance - np.array(bounds)
+shortfall = exact.distance - np.array(bounds)
 figure, axes = plt.subplots(figsize=(5, 3.4), layout="constrained")
 axes.loglog(parts, shortfall, "o", ms=4)
 axes.loglog(parts, shortfall[0] / parts**2, color="gray", lw=0.8)
@@ -232,7 +232,7 @@ assert min(least["hulls"]) >= R > max(least["samples"])
 
 # %% [markdown]
 # Samples take less fuel because they keep less distance. With long steps the hulls of whole steps
-# are dear; then the program divides each step into pieces.
+# are dear; then each step is divided into pieces.
 #
 # ## When the motion is not a cubic
 #
@@ -241,7 +241,7 @@ assert min(least["hulls"]) >= R > max(least["samples"])
 #
 # $$\max_t\left|\frac{d^4p}{dt^4}\right|\frac{h^4}{384} .$$
 #
-# Two vehicles may be nearer than their cubics by twice that. The program adds it to $R$.
+# Two vehicles may be nearer than their cubics by twice that. sato adds it to $R$.
 
 # %%
 orbit = Orbit.from_elements(6_878e3, inclination=np.radians(45))
@@ -271,7 +271,7 @@ for h in (240.0, 120.0, 60.0, 30.0):
 
 # %% [markdown]
 # At 60 s it is a third of a millimeter: in the linear model cubics are all one needs. Models that
-# change with time have no such bound; there the program measures the error and doubles it.
+# change with time have no such bound; there sato measures the error and doubles it.
 #
 # ## In a whole mission
 #
@@ -279,11 +279,11 @@ for h in (240.0, 120.0, 60.0, 30.0):
 
 # %%
 run = sato.run("crossing", seed=0)
-exact = run.summary["min_separation_m"]
+least_of_run = run.summary["min_separation_m"]
 sampled = run.summary["min_separation_at_samples_m"]
-print(f"crossing: {exact:.6f} m, at samples {sampled:.6f} m, R = 1 m")
+print(f"crossing: {least_of_run:.6f} m, at samples {sampled:.6f} m, R = 1 m")
 print(run.check())
-assert sampled >= exact >= 1.0
+assert sampled >= least_of_run >= 1.0
 
 # %% [markdown]
 # ## Exercises
