@@ -16,6 +16,7 @@
 
 # %%
 import os
+import textwrap
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -323,7 +324,7 @@ try:
 except ValueError as error:
     refusal = str(error)
 assert "Proposition 9" in refusal
-print(refusal)
+print(*textwrap.wrap(refusal, 80), sep="\n")
 print(f"V_max = {(R_comm - radius) / (2 * 12 * dt):.3f} m/s")
 
 # %% [markdown]

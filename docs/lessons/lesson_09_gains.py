@@ -17,6 +17,7 @@
 
 # %%
 import os
+import textwrap
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -240,7 +241,7 @@ except NoStabilizingGain as none:
     refusal = none
 assert refusal is not None
 assert refusal.bound <= 1e-6
-print(refusal)
+print(*textwrap.wrap(str(refusal), 80), sep="\n")
 
 # %% [markdown]
 # ## Flown

@@ -167,9 +167,9 @@ assert score[range(n), assigned].sum() >= best / 2
 
 # %% [markdown]
 # CBAA's result is the greedy one: the best pair of all, then the best of the rest. Its total
-# *score* is at least half of the optimum; about the sum of distances that promises nothing
-# (exercise 2). The toolkit's default is the auction of lesson 4 on distances, within $N\varepsilon$
-# of the least sum.
+# *score* is at least half of the optimum; the sum of distances may be twice the least for two
+# vehicles (exercise 2), and more for many. The toolkit's default is the auction of lesson 4 on
+# distances, within $N\varepsilon$ of the least sum.
 #
 # ## Avoidance, as printed: sectors
 #

@@ -288,7 +288,8 @@ axes[0].legend()
 axes[1].set(ylabel="λ₃ − λ₂")
 axes[2].set(xlabel="time [s]", ylabel="largest change of a\ncommand in 20 ms [m/s]")
 plt.show()
-print({of: f"{jump:.3f} m/s from step to step, after 2 s" for of, jump in jumps.items()})
+for of, jump in jumps.items():
+    print(f"{of}: {jump:.3f} m/s from step to step at most, after 2 s")
 assert jumps["lambda2"] > 20 * jumps["spectrum"]
 
 # %% [markdown]

@@ -16,6 +16,7 @@
 
 # %%
 import os
+import textwrap
 from collections import Counter
 from time import process_time
 
@@ -120,8 +121,8 @@ print(f"{below} of {sum(map(len, errors.values()))} answers burn less than the o
 assert below > 0
 
 # %% [markdown]
-# Answers below the optimum are not feasible: they miss the target, or pass a neighbor too near. The
-# word is honest, for OSQP's own definition of "solved". Yours must come from your own check.
+# Answers below the optimum are not feasible: they miss the target, or pass a neighbor too near. By
+# OSQP's own definition they are solved. By yours they are once your own check says so.
 #
 # ## A proof of infeasibility
 #
@@ -199,12 +200,12 @@ for name in ("batched", "clarabel", "highs"):
     assert all(proven[names.index(name)][np.isfinite(proven[names.index(name)])] == 1)
 
 # %% [markdown]
-# `batched` is the toolkit's own dual simplex, for transfers that share their matrices. It,
-# Clarabel and HiGHS are right everywhere they apply. Only Clarabel takes every cone, so it is the
-# default; HiGHS and the simplex are exact at a vertex. OSQP
-# splits operators: cheap steps, but linear programs take it thousands, and near the limit of what
-# is feasible it gives up. IPOPT has a wrong claim. `sato compare` runs the full comparison:
-# each solver in a process of its own, all sizes, three tolerances ([results](../solvers.md)).
+# `batched` is the toolkit's own dual simplex, for transfers that share their matrices. It, Clarabel
+# and HiGHS are right everywhere they apply. Of these only Clarabel takes every cone, so it is the
+# default; HiGHS and the simplex are exact at a vertex. OSQP splits operators: cheap steps, but
+# linear programs take it thousands, and near the limit of what is feasible it gives up. IPOPT has a
+# wrong claim. `sato compare` runs the full comparison: each solver in a process of its own, all
+# sizes, three tolerances ([results](../solvers.md)).
 #
 # ## What a tolerance is worth
 #
@@ -278,7 +279,7 @@ for instance in load_family("avoidance-5", "small").instances[:count]:
     cost = instance.problem.cost(chosen(instance.problem).x)
     assert abs(cost - instance.reference_cost) <= instance.cost_tolerance(1e-6)
 print(f"{chosen.fallback_count} of {count} programs went to Clarabel")
-print(chosen.last_rejection.partition(";")[0])
+print(*textwrap.wrap(chosen.last_rejection.partition(";")[0], 80), sep="\n")
 
 settings = ["model.speed_norm=inf", "plan.allow_undetectable=true"]
 for solver in ["osqp"] if small else ["clarabel", "highs", "osqp"]:
