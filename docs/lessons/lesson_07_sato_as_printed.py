@@ -46,7 +46,8 @@ rng = np.random.default_rng(7)
 # `plan.printed = true` flies just this: bids without the bidder's number, costs of fuel alone,
 # half-spaces (64) at samples alone, plans flown without a further check, and a new plan and auction
 # every $T_H = 6$ steps. The mission is the paper's (Sec. VI.A): 123 vehicles form the letters U, I,
-# U, C. The first leg is enough to see most.
+# U, C. Messages are instant and none is lost, and lost vehicles vanish: so they do in our loop, and
+# nothing below is their fault. The first leg is enough to see most.
 
 
 # %%
@@ -208,9 +209,9 @@ assert counts[0.2] < counts[0.0]
 #
 # $$\sqrt{R_\text{col}^2 - (V_{\max}\Delta t)^2} = \sqrt{0.5^2 - 0.2^2} = 0.458\ \mathrm m .$$
 #
-# Less has another reason. After $T_H$ steps without avoidance, planes of several
-# neighbors contradict each other, the program is infeasible, and a slack gives way: `slack_used`
-# counts them. The printed loop flies such plans.
+# Less has another reason. (64) looks $T_H$ steps ahead, and what comes later shows only when it is
+# near. Then the planes of several neighbors contradict each other, the program is infeasible, and a
+# slack gives way: `slack_used` counts them. The printed loop flies such plans.
 #
 # *Cure:* half-spaces on the control points of each step, which imply the distance at all times
 # (lesson 6), and *commitments*: an agent flies only what it has found clear of the commitments of
