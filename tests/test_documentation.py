@@ -60,6 +60,18 @@ def test_names_of_tests_have_at_most_70_characters():
     assert MEASURES["long_test_names"]() == []
 
 
+def test_architecture_lists_the_modules_entered_before_the_loop():
+    page = (ROOT / "docs/architecture.md").read_text("utf-8")
+    rows = re.findall(r"^\| `((?:dynamics|problems|sato)[\w.]*)` \| (`.*`) \|$", page, flags=re.M)
+    listed = {
+        f"{package.replace('.', '/')}/{name}.py"
+        for package, names in rows
+        for name in re.findall(r"`(\w+)`", names)
+    }
+    assert listed == set(MEASURES["modules_before_the_loop"]())
+    assert f"Python enters {len(listed)} modules" in page
+
+
 def test_the_page_of_keys_is_current():
     page = runpy.run_path(str(ROOT / "scripts/write_scenario_keys.py"))["page"]()
     assert page == (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
