@@ -121,8 +121,6 @@ class System(Generic[MissionT, FrameT]):
     check: Callable[[RunData, MissionT, Generator], Report]
     progress: Callable[[MissionT, FrameT], MissionProgress]
     figures: Callable[[RunData, MissionT], FigureFactories]  # by file name, in order
-    # Has `canvas`, `frame_positions` and `draw_frame`, as `SwarmAnimation`.
-    animation: Callable[[RunData, MissionT], Any] | None = None
     scene: "Callable[[RunData, MissionT], SwarmScene] | None" = None  # as viewers show it
     run_variables: type | None = None  # named tuple with annotated fields: variables of a run
     collect: Callable[[Sequence[FrameT], MissionT], Any] | None = None  # their values

@@ -29,7 +29,7 @@ from sato.scenario.errors import InputError
 from sato.systems import load_system
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
-DRAWN_FORMATS = ("png", "pdf", "mp4", "gif")
+DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
@@ -93,7 +93,7 @@ def collect_run_data(
 def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
-    Figures and films of another run that are there are removed: none is ever beside another's.
+    Figures, films and players of another run are removed: none is ever beside another's.
 
     Raises:
         OSError: There is no room, or no permission; what was there is kept.
@@ -110,12 +110,12 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
 
 
 def drawn_mark(digest: object = "") -> str:
-    """Return the mark in the metadata of figures and films, by which those of a run are found."""
+    """Return the mark in figures, films and players, by which those of a run are found."""
     return f"drawn by sato from run {digest}"
 
 
 def find_drawn(folder: Path, digest: object = "") -> list[Path]:
-    """Find the figures and films in a folder: all, or those of the run with a digest."""
+    """Find the figures, films and players in a folder: all, or those of the run with a digest."""
     mark = drawn_mark(digest).encode()
     paths = (path for end in DRAWN_FORMATS for path in sorted(folder.glob(f"*.{end}")))
     return [path for path in paths if mark in path.read_bytes()]

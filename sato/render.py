@@ -14,9 +14,11 @@ from matplotlib.figure import Figure
 
 from sato.atomic import replace_atomically, replace_together
 from sato.figures.style import STYLE
+from sato.film import SwarmFilm
 from sato.record import drawn_mark, find_drawn
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
+from sato.scene import SwarmScene
 from sato.systems import load_system
 
 MAX_FRAMES = 300
@@ -55,9 +57,9 @@ def write_figures(
 
 
 def animate(
-    data: RunData,
-    mission: Any,
+    scene: SwarmScene,
     directory: Path,
+    digest: object = "",
     fps: int = 20,
     frames: int = MAX_FRAMES,
     progress: Callable[[int, int], object] | None = None,
@@ -65,9 +67,9 @@ def animate(
     """Animate a run.
 
     Args:
-        data: Data of the run.
-        mission: Mission that was flown, drawn.
+        scene: Scene of the run.
         directory: Made if it is missing.
+        digest: Digest of the data of the run, which the metadata of the film hold.
         fps: Frames per second.
         frames: At most so many frames, evenly spaced in time.
         progress: Called with the frames drawn so far and their number.
@@ -76,31 +78,27 @@ def animate(
         The file, `run.mp4` or `run.gif`.
 
     Raises:
-        InputError: The system has no animation, or there are no frames at that rate.
+        InputError: There are no frames at that rate.
         OSError: The file cannot be written; one that was there is kept.
     """
     if fps < 1 or frames < 1:
         raise InputError("", f"frames and fps must be positive, got {frames} frames at {fps} fps")
-    system = load_system(data.attrs["system"])
-    if system.animation is None:
-        figures = "only figures, which `sato plot` draws"
-        raise InputError("", f"runs of {system.name} have no animation, {figures}")
     # Browsers and slides play even sizes and yuv420p.
     even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"]
-    mark, has_ffmpeg = drawn_mark(data.attrs.get("digest", "")), shutil.which("ffmpeg") is not None
+    mark, has_ffmpeg = drawn_mark(digest), shutil.which("ffmpeg") is not None
     movie = FFMpegWriter(fps, extra_args=even, metadata={"comment": mark})
     writer = movie if has_ffmpeg else PillowWriter(fps)
     path = directory / ("run.mp4" if has_ffmpeg else "run.gif")
     with matplotlib.rc_context(STYLE), replace_atomically(path) as file:
-        animation = system.animation(data, mission)
-        figure, positions = animation.canvas.figure, animation.frame_positions(frames)
+        film = SwarmFilm(scene)
+        figure, times = film.canvas.figure, film.frame_times(frames)
         try:
             with writer.saving(figure, str(file), dpi=figure.dpi):
-                for i, position in enumerate(positions, 1):
-                    animation.draw_frame(float(position))
+                for i, time in enumerate(times, 1):
+                    film.draw_frame(float(time))
                     writer.grab_frame()
                     if progress is not None:
-                        progress(i, len(positions))
+                        progress(i, len(times))
         except (BrokenPipeError, CalledProcessError) as error:
             if isinstance(error.__context__, KeyboardInterrupt):  # ffmpeg got it too
                 raise error.__context__ from None

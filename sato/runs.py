@@ -112,7 +112,8 @@ class Run:
         """Write an animation of the run; options as in `sato.render.animate`."""
         from sato.render import animate
 
-        return animate(self.recorded, self.drawn_mission, Path(directory), **options)
+        digest = self.recorded.attrs.get("digest", "")
+        return animate(self.scene(), Path(directory), digest, **options)
 
     def scene(self) -> "SwarmScene":
         """Make the scene of the run, as viewers show it.

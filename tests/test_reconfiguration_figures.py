@@ -24,6 +24,7 @@ from dynamics import ClohessyWiltshire
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant
 from sato.figures.style import ISOLATED, marker_style, style_components
+from sato.film import SwarmFilm
 from sato.reconfiguration.check.fuel import compute_step_fuel
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures import (
@@ -32,7 +33,6 @@ from sato.reconfiguration.figures import (
     PAIR_FIGURES,
     make_figures,
 )
-from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.figures.scene import interpolate_positions
 from sato.reconfiguration.leg import Leg, Loss
 from sato.record import drawn_mark, find_drawn
@@ -377,15 +377,32 @@ def test_an_ffmpeg_that_fails_is_told_and_leaves_the_film(tmp_path, monkeypatch)
     assert (tmp_path / "run.mp4").read_text() == "earlier"
 
 
-def test_animation_moves_agents_on_cubic_pieces():
-    _, evidence = flown("plane")
-    scene = SwarmAnimation(evidence)
-    scene.draw_frame(3.25)
-    h, u = evidence.mission.step, evidence.frames.applied_control[3, :6]
+def test_film_moves_vehicles_on_cubic_pieces():
+    run, evidence = flown("plane")
+    film, h = SwarmFilm(run.scene()), evidence.mission.step
+    film.draw_frame(3.25 * h)
+    u = evidence.frames.applied_control[3, :6]
     x, v = evidence.frames.position[3, :6], evidence.frames.velocity[3, :6]
     there = x + v * h / 4 + u * (h / 4) ** 2 / 2
-    moved = sorted(map(tuple, points(scene.axes)))
+    moved = sorted(map(tuple, points(film.axes)))
     np.testing.assert_allclose(moved, sorted(map(tuple, there)), atol=1e-12)
+
+
+def test_film_is_in_space_where_the_flight_is():
+    for name, labels in (("box", "xyz"), ("orbit", "xyz"), ("flat orbit", "yx"), ("plane", "xy")):
+        film = SwarmFilm(flown(name)[0].scene())
+        got = [getattr(film.axes, f"get_{axis}label", str)()[:1] for axis in "xyz"]
+        assert "".join(got) == labels
+        film.draw_frame(float(film.frame_times(3)[1]))
+
+
+def test_film_of_one_instant_shows_it():
+    run, evidence = flown("only start")
+    film = SwarmFilm(run.scene())
+    film.draw_frame(float(film.frame_times(9)[0]))
+    there = evidence.frames.position[0, evidence.frames.alive[0]]
+    assert len(film.frame_times(9)) == 1
+    assert sorted(map(tuple, points(film.axes))) == sorted(map(tuple, there))
 
 
 def test_animation_without_frames_is_refused(tmp_path):

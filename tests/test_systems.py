@@ -268,7 +268,7 @@ def test_a_fault_in_a_check_does_not_lose_the_run(home, monkeypatch):
     assert run.summary["check_failed"] == "LookupError: oops" and len(run.data["time"]) == 7
 
 
-def test_figures_are_drawn_and_a_missing_animation_is_refused(home):
+def test_figures_are_drawn_and_a_film_without_a_scene_is_refused(home):
     call("run", "drift.toml", "--out", "here", "--quiet")
     (home / "here" / "mine.png").write_bytes(b"not a figure of a run")
     sato.load("here").figures()["path"].savefig("here/kept.png")
@@ -278,9 +278,7 @@ def test_figures_are_drawn_and_a_missing_animation_is_refused(home):
     assert names == ["kept.png", "mine.png", "path.png", "run.nc", "summary.json"]
     refused = call("animate", "here")
     assert refused.exit_code == 2
-    assert sentence(refused) == (
-        "sato: runs of drift have no animation, only figures, which `sato plot` draws"
-    )
+    assert sentence(refused) == "sato: runs of drift have no scene that a viewer could show"
     assert call("export", "here", "--format", "csv").exit_code == 0
 
 

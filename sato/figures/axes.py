@@ -151,7 +151,7 @@ def add_titles(axes: Iterable[Any], titles: Sequence[str], **options: Any) -> No
         ax.set_title(f"({letter}) {title}", **options)
 
 
-def add_legend(figure: Figure, *handles: Any) -> None:
+def add_legend(figure: Figure, *handles: Any, title: str | None = None) -> None:
     """Add a legend below all panels: each label in them once, then those of the handles."""
     entries: dict[str, Any] = {}
     for ax in figure.axes:
@@ -160,4 +160,5 @@ def add_legend(figure: Figure, *handles: Any) -> None:
     entries |= {handle.get_label(): handle for handle in handles}
     rows = ceil(len(entries) / int(figure.get_figwidth() / 1.8))
     columns = ceil(len(entries) / rows)
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns)
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "title": title}
+    figure.legend(entries.values(), entries.keys(), **place)

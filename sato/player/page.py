@@ -11,6 +11,7 @@ from typing import Any
 from sato.atomic import replace_atomically
 from sato.check.common import incomplete_reason
 from sato.player.encode import encode_scene
+from sato.record import drawn_mark
 from sato.scenario.errors import InputError
 from sato.scene import SwarmScene
 
@@ -50,6 +51,7 @@ def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -
         "PLAYER": "\n".join(map(_read, SCRIPTS)),
     }
     page = re.sub("@([A-Z]+)@", lambda mark: parts[mark[1]], _read("player.html"))
+    page += f"<!-- {drawn_mark(attributes.get('digest', ''))} -->\n"
     with replace_atomically(path) as new:
         new.write_text(page, encoding="utf-8")
     return path

@@ -32,7 +32,6 @@ SYSTEM = System(
     check=check_run,
     progress=make_progress,
     figures=lazy("sato.reconfiguration.figures:make_figures"),
-    animation=lazy("sato.reconfiguration.figures:make_animation"),
     scene=lazy("sato.reconfiguration.scene:make_scene"),
     promises=PROMISES,
     stop_errors=(Unsolved, OutOfTargets),

@@ -11,7 +11,6 @@ from sato.reconfiguration.figures import (
     snapshots,
     time_series,
 )
-from sato.reconfiguration.figures.animation import SwarmAnimation
 from sato.reconfiguration.mission import Reconfiguration
 from sato.run_data import RunData
 
@@ -44,8 +43,3 @@ def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}
-
-
-def make_animation(data: RunData, mission: Reconfiguration) -> SwarmAnimation:
-    """Prepare the animation of a run."""
-    return SwarmAnimation(ReconfigurationRecord.from_data(data, mission))
