@@ -59,7 +59,7 @@ class SwarmFilm:
         height = 5.4 * min(self._space.aspect, 1.6) + 1.1
         figure = Figure(figsize=(6.4, height), dpi=DPI)
         # The room that the labels of a view of space take is not all seen by the layout.
-        width = 1.0 if self._space.is_flat else 0.94
+        width = 1.0 if self._space.is_flat else 0.88
         figure.set_layout_engine("constrained", rect=(0, 0, width, 1))
         self.canvas = FigureCanvasAgg(figure)
         self.axes: Any = add_axes(figure, self._space)
