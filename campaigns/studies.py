@@ -15,6 +15,7 @@ from sato.connectivity.obstacles import obstacle_distances
 from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate as simulate_formation
+from sato.scenario.file import read_data
 from sato.shapes import Points
 
 GAP_WINDOW = 1.0  # time before a loss of connectivity in which λ₃ − λ₂ is looked at [s]
@@ -127,6 +128,18 @@ def _transitions(run: sato.Run) -> Iterator[tuple[str, FormationRecord]]:
             frames = list(simulate_formation(mission, rng))
             record = FormationRecord.from_frames(frames, mission)
         yield name, record
+
+
+def short_flight(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the built-in scenario of connectivity, with near waypoints from the start, for 60 s.
+
+    The same keys in all flights: other seeds draw other waypoints.
+    """
+    data = read_data("connectivity")
+    data["stick"] |= {"count": 4, "spacing_m": 6.0, "speed_m_s": 2.0}
+    data["stick"] |= {"start_s": 0.0, "on_s": 9.0, "off_s": 3.0}
+    data["run"]["duration_s"] = 60.0
+    return data
 
 
 def judge_connectivity(run: sato.Run) -> dict[str, Any]:

@@ -21,9 +21,10 @@ SHAKEN = 'plant={kind="kinematic", lag_s=0.3, noise=0.02}'
 
 
 def flown(*settings, seed=1, **changed):
-    """Fly three seconds; return the run and its drawn mission."""
+    """Fly three seconds with the stick held; return the run and its drawn mission."""
     rng = np.random.default_rng(seed)
-    mission = replace(read("connectivity", ["duration_s=3", *settings]).draw(rng), **changed)
+    short = "duration_s=3", "stick.start_s=0"
+    mission = replace(read("connectivity", [*short, *settings]).draw(rng), **changed)
     return run_of(mission, simulate(mission, rng)), mission
 
 
@@ -92,9 +93,11 @@ def test_commands_that_jump_to_and_fro_are_found(honest):
 
 def test_a_potential_of_the_spectrum_ends_the_chattering_of_lambda2():
     # λ₂ and λ₃ change places again and again in this flight.
+    stick = "stick.start_s=0", "stick.on_s=9", "stick.off_s=3", "stick.speed_m_s=2", "spacing_m=6"
     shares = {}
     for of in ("lambda2", "spectrum"):
-        run = sato.run("connectivity", seed=5, overrides=["duration_s=16", f"potential.of={of}"])
+        settings = ["duration_s=16", f"potential.of={of}", *stick]
+        run = sato.run("connectivity", seed=5, overrides=settings)
         shares[of] = run.summary["chattering"]
         assert not run.summary["broken"]
     assert shares["lambda2"] > 0.01 and shares["spectrum"] < 0.001
@@ -205,6 +208,13 @@ def test_summary_agrees_with_the_data(honest):
     away = np.linalg.norm(p[:, :, None] - p[:, None], axis=3)
     at_instants = (away + 9 * np.eye(6)).min()
     assert at_instants - 0.01 <= said["min_separation_m"] <= at_instants
+    held = [k for k in range(len(p) - 1) if np.linalg.norm(data["stick"].values[k]) > 0]
+    leader, followers = p[:, 0], p[:, 1:].mean(axis=1)
+    paths = [sum(np.linalg.norm(q[k + 1] - q[k]) for k in held) for q in (followers, leader)]
+    assert len(held) > 100 and said["followed"] == pytest.approx(paths[0] / paths[1])
+    command = data["velocity_command"].values
+    change = [np.linalg.norm(command[k + 1, 1:] - command[k, 1:], axis=1) for k in range(100, 150)]
+    assert said["command_change_m_s"] == pytest.approx(np.quantile(change, 0.999))
     assert json.loads(json.dumps(said)) == said
 
 
@@ -213,6 +223,7 @@ def test_quantities_without_a_value_are_absent_from_the_summary():
     run, mission = flown("agents=2", "obstacles.count=0", held)
     said = check_run(run.recorded, mission).summary
     assert "min_obstacle_distance_m" not in said and said["waypoints"] == 0
+    assert "followed" not in said and "command_change_m_s" in said
 
 
 def test_separation_includes_passages_between_instants(rng):

@@ -19,7 +19,7 @@ def flight(seed, **settings):
     forward = np.array([np.cos(yaw[0]), np.sin(yaw[0]), 0])
     return Connectivity(
         start=position, yaw=yaw, yaw_error=rng.uniform(-0.5, 0.5, (6, 6)),
-        stick=WaypointStick(position[0] + np.outer([5, 10], forward)),
+        stick=WaypointStick(position[0] + np.outer([5, 10], forward), start_time=0.0),
         **({"duration": 15.0} | settings),
     )  # fmt: skip
 
@@ -46,11 +46,8 @@ def test_flooded_estimate_of_lambda2_is_within_two_thousandths():
 
 def test_without_the_connectivity_action_the_leader_is_lost():
     idle = flight(2, potential=Potential(strength=0.0))
-    frames = fly(
-        replace(
-            idle, stick=WaypointStick(idle.stick.waypoints + np.array([[40, 0, 0], [80, 0, 0]]))
-        )
-    )
+    far = idle.stick.waypoints + np.array([[40, 0, 0], [80, 0, 0]])
+    frames = fly(replace(idle, stick=replace(idle.stick, waypoints=far)))
     assert min(f.lambda2 for f in frames) == 0
     assert [e["kind"] for f in frames for e in f.events if e["kind"] == "split"] == ["split"]
 

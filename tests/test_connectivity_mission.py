@@ -89,7 +89,7 @@ def test_random_starts_are_separated_and_connected_in_a_box_that_grows(agents, s
 def test_drawn_obstacles_are_clear_of_starts_and_spaced_waypoints():
     mission = drawn("obstacles.count=25", "stick.spacing_m=4")
     ways = np.vstack([mission.initial_position[:1], mission.stick.waypoints])
-    assert np.linalg.norm(np.diff(ways, axis=0), axis=1) == pytest.approx([4, 4, 4])
+    assert np.linalg.norm(np.diff(ways, axis=0), axis=1) == pytest.approx([4, 4, 4, 4])
     obstacles = mission.obstacle_arrays
     assert obstacles.total == 25
     assert obstacle_distances(mission.initial_position, obstacles).min() > 1.5
@@ -101,6 +101,13 @@ def test_losses_are_drawn_where_robot_or_time_is_absent():
     assert len({loss.agent for loss in losses}) == 3 and losses[1].agent == 0
     assert losses[2].time == 1.5 and all(0 <= loss.time <= 2 for loss in losses)
     assert losses != drawn("death=[{}, {robot=0}, {time_s=1.5}]", seed=2).losses
+
+
+def test_stick_rests_at_first_and_is_then_held_and_let_go_in_turns():
+    stick = WaypointStick(np.array([[9.0, 0, 0]]), start_time=2.0, hold_time=3.0, release_time=1.0)
+    times = np.arange(0.0, 10.0, 0.5)
+    held = [stick.command_velocity(time, np.zeros(3), 0).any() for time in times]
+    assert times[held].tolist() == [2, 2.5, 3, 3.5, 4, 4.5, 6, 6.5, 7, 7.5, 8, 8.5]
 
 
 def test_recorded_stick_lies_beside_the_scenario_and_goes_with_the_run(tmp_path):
@@ -153,7 +160,7 @@ def random_mission(seed):
         estimator=pick("flood", "exact"),
         power_iteration=PowerIterationGains(0.002, *(pick(None, g) for g in numbers(1, 9, 6))),
         plant=pick(KinematicVehicle(*numbers(0, 1, 2)), Quadrotor(*numbers(0.1, 1, 4))),
-        stick=pick(WaypointStick(waypoints, rng.integers(1, 5), *numbers(0.1, 9, 6)),
+        stick=pick(WaypointStick(waypoints, rng.integers(1, 5), *numbers(0.1, 9, 7)),
                    RecordedStick(np.cumsum(numbers(0.1, 1)), rng.uniform(-3, 3, (3, 3)))),
         obstacles=obstacles[: rng.integers(4)],
         random_obstacles=RandomSpheres(rng.integers(4), sorted(numbers(0.1, 1, 2))),

@@ -21,11 +21,14 @@ class WaypointStick(Definition):
 
     kind: ClassVar[str] = "waypoints"
     waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = LATER
-    count: Annotated[int, Positive, "number of waypoints that are drawn"] = 3
-    spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 5.0
-    speed: Annotated[Speed, Positive, "commanded speed"] = 2.0
-    hold_time: Annotated[Time, Key("on"), Positive, "time for which the stick is held"] = 9.0
-    release_time: Annotated[Time, Key("off"), NotNegative, "time for which it is then let go"] = 3.0
+    count: Annotated[int, Positive, "number of waypoints that are drawn"] = 4
+    spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 20.0
+    speed: Annotated[Speed, Positive, "commanded speed"] = 2.5
+    start_time: Annotated[
+        Time, Key("start"), NotNegative, "time at which the stick is first held"
+    ] = 5.0
+    hold_time: Annotated[Time, Key("on"), Positive, "time for which the stick is held"] = 25.0
+    release_time: Annotated[Time, Key("off"), NotNegative, "time for which it is then let go"] = 5.0
     arrival_radius: Annotated[
         Length, Key("near"), Positive, "distance at which a waypoint is reached"
     ] = 1.0
@@ -55,7 +58,8 @@ class WaypointStick(Definition):
             position: Position of the leader [m].
             waypoints_reached: Number of waypoints that it has reached.
         """
-        is_held = time % (self.hold_time + self.release_time) < self.hold_time
+        held = time - self.start_time
+        is_held = held >= 0 and held % (self.hold_time + self.release_time) < self.hold_time
         if waypoints_reached >= len(self.waypoints) or not is_held:
             return np.zeros(3)
         gap = self.waypoints[waypoints_reached] - position

@@ -17,6 +17,8 @@ from sato.connectivity.sensors import CameraViews, compute_views
 from sato.connectivity.settings import MAX_ROW_AGE
 from sato.record import RunRecord
 
+SETTLING_TIME = 2.0  # in which commands of the start die away [s]
+COMMAND_QUANTILE = 0.999  # of the changes of commands; the largest few are left out
 JUMP_SHARE = 0.1  # of the largest speed: a change of a command in a step that is a jump
 MAX_BATCH = 1_000_000  # pairs, with what may hide one from the other, of one computation
 
@@ -47,6 +49,31 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         jumps = np.linalg.norm(change, axis=2) > JUMP_SHARE * self.mission.limits.speed
         is_back = np.vecdot(change[1:], change[:-1]) < 0
         return _mean(jumps[1:] & jumps[:-1] & is_back, np.broadcast_to(is_live, is_back.shape))
+
+    @cached_property
+    def command_change(self) -> float:
+        """Change of a follower's command in a step that 99.9 % do not exceed, after 2 s [m/s].
+
+        NaN in shorter flights.
+        """
+        frames, first = self.frames, round(SETTLING_TIME / self.mission.step)
+        change = np.diff(frames.velocity_command[first:, 1:], axis=0)
+        size = np.linalg.norm(change, axis=2)[frames.alive[first + 1 :, 1:]]
+        return float(np.quantile(size, COMMAND_QUANTILE)) if size.size else np.nan
+
+    @cached_property
+    def followed(self) -> float:
+        """Path of the live followers' centroid over the leader's while the stick is held.
+
+        NaN where it never is.
+        """
+        frames = self.frames
+        step, live = np.diff(frames.position, axis=0), frames.alive[1:]
+        weight = live[:, 1:] / np.maximum(live[:, 1:].sum(axis=1, keepdims=True), 1)
+        centroid = np.einsum("ti,tik->tk", weight, step[:, 1:])
+        is_held = frames.stick[:-1].any(axis=1) & live[:, 0]
+        leader = float(np.linalg.norm(step[is_held, 0], axis=1).sum())
+        return float(np.linalg.norm(centroid[is_held], axis=1).sum()) / leader if leader else np.nan
 
     @property
     def noise_std(self) -> float:
@@ -110,6 +137,8 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             "lambda2_error_mean": _mean(lambda2_error, frames.alive & np.isfinite(lambda2_error)),
             "yaw_error_mutual": _mean(yaw_error, sees & is_seen),
             "yaw_error_one_sided": _mean(yaw_error, sees & ~is_seen),
+            "followed": self.followed,
+            "command_change_m_s": self.command_change,
             "chattering": self.chattering,
             "min_separation_m": self.min_separation,
             "min_obstacle_distance_m": self.min_obstacle_distance,
