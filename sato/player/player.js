@@ -85,7 +85,7 @@ class Player {
     const here = (event) => lanes.find(event.offsetX, event.offsetY);
     drawing.addEventListener("pointermove", (event) => {
       const found = here(event);
-      find("event").textContent = found ? lanes.describe(found) : "";
+      find("track").title = find("event").textContent = found ? lanes.describe(found) : "";
     });
     drawing.addEventListener("click", (event) => {
       const share = (event.offsetX - 8) / (drawing.clientWidth - 16);
