@@ -319,9 +319,12 @@ assert boastful.dual_residual > 1e-4
 # %% [markdown]
 # ### Exercise 2
 #
-# A ray says more than "no". Let $t$ be the least number by which all rows must be relaxed, $b - A x
-# + t e \in \mathcal K$ (equations up to $\pm t$). Show that a ray with $b^T y = -1$ gives $t \ge
-# 1/\lVert y \rVert_1$, and that the best ray attains it (`relax_cones`).
+# A ray says more than "no". Let $t$ be the least number by which all rows must be relaxed:
+#
+# $$\text{minimize}\ t \quad \text{subject to}\quad b - A x + t\,e \in \mathcal K,$$
+#
+# equations up to $\pm t$. Show that a ray with $b^T y = -1$ gives $t \ge 1/\lVert y \rVert_1$, and
+# that the best ray attains it (`relax_cones`).
 
 # %% tags=["hide-cell"]
 # With |r| ≤ t the violation: −1 = bᵀy = yᵀ(b − A x) ≥ −t ‖y‖₁.
