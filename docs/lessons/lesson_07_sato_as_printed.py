@@ -242,7 +242,7 @@ for ax, label, values in zip(axes, labels, zip(*table.values(), strict=True), st
         ax.annotate(
             text, (value, row), xytext=(3, -3), textcoords="offset points", fontsize=8
         ).set_bbox({"fc": "white", "ec": "none", "pad": 0.5})
-    ax.set(xlabel=label, xlim=(0, 1.3 * max(max(values), 1e-9)))
+    ax.set(xlabel=label, xlim=(0, 1.3 * (max(values) or 1)))
 axes[0].axvline(radius, color="C3", lw=1)
 axes[0].invert_yaxis()
 plt.show()
