@@ -65,7 +65,8 @@ def prepare_docstring(app, what, name, obj, options, lines):
 
 def link_files(app, docname, source):
     """Let links to files outside of the pages lead to copies of these files."""
-    source[0] = source[0].replace("](../", "](path:../")
+    up = "../" * (docname.count("/") + 1)  # out of the folder of pages
+    source[0] = source[0].replace(f"]({up}", f"](path:{up}")
 
 
 def add_fields(definition, lines):
