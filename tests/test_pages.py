@@ -1,6 +1,7 @@
 """Pages: scripts print what the pages show, commands run, links lead to files and headings."""
 
 import re
+import shlex
 from contextlib import redirect_stdout
 from io import StringIO
 from itertools import pairwise
@@ -9,8 +10,11 @@ from unittest.mock import patch
 
 import pytest
 from test_cli import call
+from typer.main import get_command
 
+import sato
 from problems.solvers import load_adapters
+from sato.cli import app
 from sato.systems import SYSTEMS
 
 ROOT = Path(__file__).parents[1]
@@ -47,8 +51,7 @@ def test_scripts_of_a_page_print_the_block_that_follows(page, tmp_path, monkeypa
             assert printed.getvalue() == (following if next_language in ("", "text") else "")
         elif language == "sh":
             for line in re.findall(r"^sato ([^#\n]*)", code, flags=re.M):
-                words = [word.strip("'\"") for word in re.findall(r"(?:'[^']*'|\S)+", line)]
-                done = call(*words)
+                done = call(*shlex.split(line))
                 assert done.exit_code == 0, (line, done.output)
 
 
@@ -70,6 +73,22 @@ def test_links_of_a_page_lead_to_files_and_headings(page):
         if not target.exists() or (anchor and anchor not in _anchors(target.read_text("utf-8"))):
             dead.append(link)
     assert dead == []
+
+
+def test_commands_of_pages_name_commands_and_keys_that_exist():
+    known, count = set(get_command(app).commands), 0
+    for page, text in TEXTS.items():
+        if page.name == "CHANGELOG.md":
+            continue
+        blocks = "\n".join(code for _, code in BLOCK.findall(text))
+        lines = re.findall(r"^sato ([^#|>\n]+)", blocks, flags=re.M)
+        for line in lines + re.findall(r"`sato ([^`\n]+)`", BLOCK.sub("", text)):
+            words = shlex.split(line)
+            assert words[0] in known or words[0].isupper() or not words[0].isalpha(), line
+            if words[0] == "run" and set(words[1:2]) & sato.scenarios().keys():
+                sato.read(words[1], [b for a, b in pairwise(words) if a == "--set"])
+                count += 1
+    assert count > 100
 
 
 def test_files_and_tests_that_pages_name_exist():
