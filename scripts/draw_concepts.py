@@ -21,6 +21,7 @@ from sato.connectivity.controller import evaluate_potential, repulsion_gain
 from sato.connectivity.settings import Potential, Repulsion
 from sato.figures.axes import add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, RED, STYLE
+from sato.formation.settings import AssignmentSettings, FrameSettings
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.stopping import end_at_rest
 from sato.shapes.formation_library import load_formation
@@ -245,6 +246,36 @@ def draw_alignment() -> Figure:
     return figure
 
 
+def draw_avoidance() -> Figure:
+    """Draw ten vehicles on a ring that change places, and the distances of all pairs."""
+    turn = np.exp(2j * np.pi * np.arange(10) / 10)
+    ring = 2.4 * 10 / (2 * np.pi) * np.c_[turn.real, turn.imag, np.zeros(10)]
+    order = np.random.default_rng(1).permutation(10)
+    mission = sato.Formation(
+        start=ring,
+        legs=[sato.FormationLeg(ring[order])],
+        assignment=AssignmentSettings("none"),
+        frames=FrameSettings(noise=0.0, drift=0.0),
+    )
+    run = sato.run(mission, seed=1)
+    time, p = run.data.time.values, run.data.position.values
+    figure, (left, right) = panels(2, 3.4)
+    left.plot(*np.moveaxis(p[..., :2], -1, 0), color=BLUE, lw=0.7)
+    left.plot(*p[0, :, :2].T, "o", color=GRAY, ms=3, label="start")
+    left.plot(*p[-1, :, :2].T, "D", color=GREEN, ms=4, mew=0, label="end")
+    left.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    left.legend(loc="upper right")
+    i, j = np.triu_indices(10, 1)
+    distance = np.linalg.norm(p[:, i, :2] - p[:, j, :2], axis=2)
+    right.plot(time, distance, color=LIGHT_GRAY, lw=0.4)
+    right.plot(time, distance.min(axis=1), color=BLUE, label="least of all pairs")
+    right.axhline(mission.keep_out, color=RED, lw=0.8, ls="--", label="keep-out")
+    right.set(xlabel="time [s]", ylabel="distance of two [m]", ylim=(0, None))
+    right.legend(loc="upper right")
+    add_titles((left, right), ["ten change places, from above", "distances"])
+    return figure
+
+
 def draw_visibility() -> Figure:
     """Draw the weight of an edge by the place of the other robot, and both potentials."""
     camera, side = Camera(), np.linspace(-10, 10, 401)
@@ -280,14 +311,26 @@ def draw_first_run() -> Figure:
 
 
 def draw_tutorial() -> Figure:
-    """Draw the run of the page `tutorial`, before and after."""
-    text = (FOLDER.parent / "tutorial.md").read_text("utf-8")
-    names: dict[str, Any] = {}
-    for code in text.split("```python\n")[1:3]:
-        exec(compile(code.partition("```")[0], "tutorial.md", "exec"), names)
-    figure: Figure = names["run"].figures()["trajectories"]
+    """Draw the first run of the page `tutorial`."""
+    figure = first_run_of("tutorial.md", blocks=2).figures()["trajectories"]
     figure.set_size_inches(3.4, 4.4)
     return figure
+
+
+def draw_routes() -> Figure:
+    """Draw the first run of the page `howto-obstacles`."""
+    figure = first_run_of("howto-obstacles.md", blocks=1).figures()["trajectories"]
+    figure.set_size_inches(4.6, 4.4)
+    return figure
+
+
+def first_run_of(page: str, blocks: int) -> sato.Run:
+    """Return the run that the first blocks of a page fly."""
+    text, names = (FOLDER.parent / page).read_text("utf-8"), dict[str, Any]()
+    for code in text.split("```python\n")[1 : 1 + blocks]:
+        exec(compile(code.partition("```")[0], page, "exec"), names)
+    run: sato.Run = names["run"]
+    return run
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
@@ -298,7 +341,9 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "commitment": draw_commitment,
     "drift": draw_drift,
     "alignment": draw_alignment,
+    "avoidance": draw_avoidance,
     "visibility": draw_visibility,
+    "routes": draw_routes,
     "first-run": draw_first_run,
     "tutorial": draw_tutorial,
 }
