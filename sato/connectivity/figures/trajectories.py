@@ -33,10 +33,11 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     points = frames.position, mission.stick.waypoints
     space = AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
-    figure = Figure(figsize=(10.4, 5.4))
+    figure = Figure(figsize=(8.8, 4.6))
     figure.set_layout_engine("constrained", wspace=0.15, h_pad=0.3)  # for the labels in space
     deep, above = add_axes(figure, space, (1, 2, 1)), add_axes(figure, flat, (1, 2, 2))
     deep.computed_zorder = False
+    deep.set_box_aspect(space.size, zoom=1.25)
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_above(above, obstacles, space, height)
