@@ -45,6 +45,10 @@ POTENTIAL = Potential()
 YAW_ERROR = 0.1  # of a relative yaw that is estimated [rad]
 RUN_COUNT = 2
 STICK_SPEED = 2.0  # [m/s]
+SHORT_FLIGHT = (
+    "obstacles.count=0", "stick.count=4", "stick.spacing_m=6", f"stick.speed_m_s={STICK_SPEED}",
+    "stick.start_s=0", "stick.on_s=9", "stick.off_s=3", "duration_s=60",
+)  # fmt: skip
 
 
 class Erratum(NamedTuple):
@@ -177,9 +181,9 @@ def repeated_eigenvalue_erratum(rings: int, rng: np.random.Generator) -> Erratum
 
 
 def simulate_run(seed: int, *settings: str) -> list[ConnectivityFrame]:
-    """Simulate a flight without obstacles."""
+    """Simulate a short flight without obstacles."""
     rng = np.random.default_rng(seed)
-    return list(simulate(read("connectivity", ["obstacles.count=0", *settings]).draw(rng), rng))
+    return list(simulate(read("connectivity", [*SHORT_FLIGHT, *settings]).draw(rng), rng))
 
 
 def least_distance(frames: list[ConnectivityFrame]) -> float:

@@ -98,7 +98,7 @@ def test_intervals_are_adjacent_and_have_the_values():
     assert [tuple(s) for s in find_intervals(time[:1], np.array([True]))] == [(1, 0.0, 0.0)]
 
 
-@pytest.mark.parametrize("name", ["connectivity", "edges", "distances"])
+@pytest.mark.parametrize("name", ["connectivity", "edges", "distances", "following"])
 def test_background_is_shaded_exactly_while_the_stick_is_held(name):
     held = pytest.approx(np.array([[0.5, 1.5], [2.0, 3.0]]))
     for ax in shown(name, "recorded").axes:
@@ -191,6 +191,17 @@ def test_selected_pairs_have_most_kinds_of_visibility():
     }
     shown_ways = [ways.pop(pair) for pair in select_pairs(record)]
     assert min(shown_ways) >= max(ways.values()) > 0
+
+
+def test_following_figure_ends_with_the_paths_flown():
+    record = flown("recorded")
+    path, speed = shown("following", "recorded").axes
+    places = record.frames.position[:, 0], record.frames.position[:, 1:].mean(axis=1)
+    for name, place in zip(("leader", "centroid of the followers"), places, strict=True):
+        flown_path = np.linalg.norm(np.diff(place, axis=0), axis=1).sum()
+        assert line(path, name)[1][-1] == pytest.approx(flown_path)
+    stick = line(speed, "stick, to the leader")[1]
+    assert set(stick.round(9)) == {0, 1, 2}
 
 
 def test_distances_are_the_least_by_brute_force():

@@ -62,18 +62,22 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         return float(np.quantile(size, COMMAND_QUANTILE)) if size.size else np.nan
 
     @cached_property
+    def paths(self) -> tuple[Float[Array, " steps"], Float[Array, " steps"]]:
+        """Paths of the leader and of the live followers' centroid in each step [m]."""
+        step, live = np.diff(self.frames.position, axis=0), self.frames.alive[1:, 1:]
+        share = live / np.maximum(live.sum(axis=1, keepdims=True), 1)
+        centroid = np.einsum("ti,tik->tk", share, step[:, 1:])
+        return np.linalg.norm(step[:, 0], axis=1), np.linalg.norm(centroid, axis=1)
+
+    @property
     def followed(self) -> float:
-        """Path of the live followers' centroid over the leader's while the stick is held.
+        """Path of the followers' centroid over the leader's, both while the stick is held.
 
         NaN where it never is.
         """
-        frames = self.frames
-        step, live = np.diff(frames.position, axis=0), frames.alive[1:]
-        weight = live[:, 1:] / np.maximum(live[:, 1:].sum(axis=1, keepdims=True), 1)
-        centroid = np.einsum("ti,tik->tk", weight, step[:, 1:])
-        is_held = frames.stick[:-1].any(axis=1) & live[:, 0]
-        leader = float(np.linalg.norm(step[is_held, 0], axis=1).sum())
-        return float(np.linalg.norm(centroid[is_held], axis=1).sum()) / leader if leader else np.nan
+        is_held = self.frames.stick[:-1].any(axis=1)
+        leader, followers = (float(path[is_held].sum()) for path in self.paths)
+        return followers / leader if leader > 0 else np.nan
 
     @property
     def noise_std(self) -> float:

@@ -14,6 +14,7 @@ FIGURES = {
     "edges": time_series.plot_edges,
     "yaw": time_series.plot_yaw_error,
     "distances": time_series.plot_distances,
+    "following": time_series.plot_following,
     "weights": laws.plot_weights,
     "potential": laws.plot_potential,
 }

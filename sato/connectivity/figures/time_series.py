@@ -90,6 +90,22 @@ def plot_distances(record: ConnectivityRecord) -> Figure:
     return _finish(figure, record)
 
 
+def plot_following(record: ConnectivityRecord) -> Figure:
+    """Plot the paths of the leader and of the followers' centroid, and commanded speeds."""
+    frames = record.frames
+    figure, (path, speed) = panels.stack(frames.time, 1.6, 1.6)
+    labels = ("leader", ORANGE), ("centroid of the followers", BLUE)
+    for (name, color), steps in zip(labels, record.paths, strict=True):
+        path.plot(frames.time, np.append(0, np.cumsum(steps)), color=color, label=name)
+    path.set(ylabel="path [m]", ylim=(0, None))
+    command = np.linalg.norm(frames.velocity_command[:, 1:], axis=2)
+    panels.plot_spread(speed, frames.time, np.where(frames.alive[:, 1:], command, np.nan))
+    stick = np.linalg.norm(frames.stick, axis=1)
+    speed.plot(frames.time, stick, color=ORANGE, lw=1.0, label="stick, to the leader")
+    speed.set(ylabel="speed commanded to\nfollowers [m/s]", ylim=(0, None))
+    return _finish(figure, record)
+
+
 def _finish(figure: Figure, record: ConnectivityRecord) -> Figure:
     """Shade while the stick is held, mark losses and splits, and add a legend."""
     frames = record.frames

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Rectangle, Wedge
+from matplotlib.ticker import MaxNLocator
 from numpy import ndarray as Array
 
 from sato.connectivity.check.recorded import ConnectivityRecord
@@ -38,6 +39,7 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     deep, above = add_axes(figure, space, (1, 2, 1)), add_axes(figure, flat, (1, 2, 2))
     deep.computed_zorder = False
     deep.set_box_aspect(space.size, zoom=1.25)
+    deep.zaxis.set_major_locator(MaxNLocator(3))  # a route is long and flat
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_above(above, obstacles, space, height)
