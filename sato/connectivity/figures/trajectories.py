@@ -16,6 +16,7 @@ from sato.figures.axes import AxisBounds, add_axes, add_legend, add_titles, draw
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
 DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]
+LONG_ASPECT = 0.6  # height over width, seen from above, below which a flight is long
 MAX_LABELED_AGENTS = 12  # largest number of robots that are labeled
 FULL_WIDTH_EDGES = 60  # largest number of edges drawn at full width
 BODY_AXIS_LENGTH = 0.9  # [m]
@@ -34,12 +35,19 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     points = frames.position, mission.stick.waypoints
     space = AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin)
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
-    figure = Figure(figsize=(8.8, 4.6))
+    is_long = flat.aspect < LONG_ASPECT  # the two views are then one above the other
+    rows, columns = (2, 1) if is_long else (1, 2)
+    figure = Figure(figsize=(8.2, 7.2) if is_long else (8.8, 4.6))
     figure.set_layout_engine("constrained", wspace=0.15, h_pad=0.3)  # for the labels in space
-    deep, above = add_axes(figure, space, (1, 2, 1)), add_axes(figure, flat, (1, 2, 2))
+    cells = (rows, columns, 1), (rows, columns, 2)
+    deep, above = add_axes(figure, space, cells[0]), add_axes(figure, flat, cells[1])
     deep.computed_zorder = False
+<<<<<<< HEAD
     deep.set_box_aspect(space.size, zoom=1.25)
     deep.zaxis.set_major_locator(MaxNLocator(3))  # a route is long and flat
+=======
+    deep.set_box_aspect(space.size, zoom=1.5 if is_long else 1.25)
+>>>>>>> 5a4b95a (Stack the views of a long connectivity flight, and draw the gallery of the one that follows)
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_above(above, obstacles, space, height)
