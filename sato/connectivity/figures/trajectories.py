@@ -42,12 +42,8 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     cells = (rows, columns, 1), (rows, columns, 2)
     deep, above = add_axes(figure, space, cells[0]), add_axes(figure, flat, cells[1])
     deep.computed_zorder = False
-<<<<<<< HEAD
-    deep.set_box_aspect(space.size, zoom=1.25)
-    deep.zaxis.set_major_locator(MaxNLocator(3))  # a route is long and flat
-=======
     deep.set_box_aspect(space.size, zoom=1.5 if is_long else 1.25)
->>>>>>> 5a4b95a (Stack the views of a long connectivity flight, and draw the gallery of the one that follows)
+    deep.zaxis.set_major_locator(MaxNLocator(3))  # a route is long and flat
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_above(above, obstacles, space, height)
