@@ -51,6 +51,8 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     for ax, bounds in ((deep, space), (above, flat)):
         _draw_trajectories(ax, record, bounds)
         _draw_graph(ax, record, bounds)
+    for drawn in (*deep.lines, *deep.collections):  # a view that is enlarged leaves its frame
+        drawn.set(clip_on=False, in_layout=False)
     for i in range(mission.agents if mission.agents <= MAX_LABELED_AGENTS else 0):
         at = frames.position[-1, i, :2]
         above.annotate(str(i), at, xytext=(5, -10), textcoords="offset points", zorder=8)
