@@ -96,7 +96,7 @@ def merged_prices(trials: int) -> Finding:
 
 
 def own_price(trials: int) -> Finding:
-    """Leave the agent out of its own neighbors, as before (32)."""
+    """Leave the agent out of its own neighbors, as below (32)."""
     wrong, _ = good_readings(trials, 1.0, Reading(hears_itself=False))
     right, _ = good_readings(trials, 1.0, Reading())
     return Finding(

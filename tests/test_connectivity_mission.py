@@ -52,6 +52,16 @@ def refused(*settings):
     return str(refusal.value).removeprefix("scenario: ")
 
 
+def test_defaults_are_the_published_parameters():
+    # [Bernard2023, Table I]
+    for mission in (Connectivity(), read("connectivity")):
+        assert mission.camera[:6] == (1.0, 3.0, 7.0, 9.0, 0.4, 0.95)
+        axis = np.array(mission.camera.optical_axis)
+        assert axis / np.linalg.norm(axis) == pytest.approx(np.array([1, 1, 0]) / np.sqrt(2))
+        assert mission.potential[:2] == (0.01, 3.01) and mission.repulsion[:2] == (1.0, 3.5)
+        assert mission.tracking[:3] == (10.0, 10.0, 10.0)
+
+
 def test_arrays_of_poses_make_a_mission():
     start = np.array([[0.0, 0, 2], [5, 0, 2], [5, 4, 2]])
     mission = Connectivity(start=start, yaw=np.array([-0.8, 0, -2]), duration=20.0)

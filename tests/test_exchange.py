@@ -27,7 +27,12 @@ from problems.solvers import solve_clarabel
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.scp.exchange import run_batched, run_scp
-from sato.scp.planner import TrajectoryMessage, update_planner
+from sato.scp.planner import (
+    CONVERGENCE_TOLERANCE,
+    MAX_SOLVES,
+    TrajectoryMessage,
+    update_planner,
+)
 
 
 @pytest.mark.parametrize(("count", "axes"), [(4, 2), (8, 2), (8, 3)])
@@ -124,6 +129,19 @@ def test_fixed_point_satisfies_the_kkt_conditions(rng, monkeypatch):
             assert abs(y @ (conic.b - conic.A @ end)) < 1e-5
             tested += 1
     assert tested > 5
+
+
+def test_agents_converge_when_their_trajectories_hardly_move(rng):
+    # [Morgan2016, eq. 39]
+    planners, converged = random_swarm(rng, 6), []
+    history = [planners, *plan_by_messages(planners, complete(len(planners)))]
+    for before, after in pairwise(history):
+        for i, p in after.items():
+            if before[i].solve_count < p.solve_count < MAX_SOLVES:
+                moved = np.abs(p.nominal.x - before[i].nominal.x).max()
+                assert p.has_converged == (moved <= CONVERGENCE_TOLERANCE * RADIUS)
+                converged.append(p.has_converged)
+    assert len(set(converged)) == 2
 
 
 def test_trajectories_become_final_in_order_of_priority(rng):

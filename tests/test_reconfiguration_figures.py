@@ -159,6 +159,16 @@ def test_markers_are_at_positions_and_lost_agents_have_none():
         assert sorted(map(tuple, points(ax))) == sorted(map(tuple, there))
 
 
+def test_first_leg_is_six_instants_with_their_networks():
+    axes, frames = drawn("first-leg", "plane").axes, flown("plane")[1].frames
+    assert len(axes) == 6
+    for ax, k in zip(axes, [0, 1, 4, 6, 9], strict=False):  # and the last, of the leg
+        live = frames.alive[k]
+        assert sorted(map(tuple, points(ax))) == sorted(map(tuple, frames.position[k, live]))
+        count = len(set(frames.component[k, live].tolist()))
+        assert ax.get_title().split("\n")[1].startswith(f"{count} component")
+
+
 def test_components_differ_in_color_and_marker():
     component = np.array([4, 1, 4, 2, 1, 4, -1, 7])
     found = [(members.tolist(), look) for members, look, _ in style_components(component)]
