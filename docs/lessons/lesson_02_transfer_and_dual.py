@@ -73,13 +73,14 @@ print(f"least fuel {primal.value:.6f} m/s")
 #
 # Give each equation a price $\lambda$ and drop it. Whatever $\lambda$ is, the minimum of
 #
-# $$\Delta t\,\|u\|_1 + \lambda^T(b - Cu) \quad\text{over}\quad |u_j| \le U$$
+# $$\Delta t\,\|u\|_1 + \lambda^\top(b - Cu) \quad\text{over}\quad |u_j| \le U$$
 #
-# is at most the least fuel, since every transfer that arrives has $b - Cu = 0$. And this minimum is
-# easy: it falls apart into one scalar problem per control, $\min\ \Delta t\,|u_j| -
-# (c_j^T\lambda)u_j$. Burn fully where $|c_j^T\lambda| > \Delta t$, and not at all where it is less:
+# is at most the least fuel, since every transfer that arrives has $b - Cu = 0$. ($A^T$ is a power,
+# $\lambda^\top$ a transpose.) And this minimum is easy: with $c_j$ the columns of $C$ it falls
+# apart into one scalar problem per control, $\min\ \Delta t\,|u_j| - (c_j^\top\lambda)u_j$. Burn
+# fully where $|c_j^\top\lambda| > \Delta t$, and not at all where it is less:
 #
-# $$\text{fuel} \ \ge\ \lambda^Tb - U\sum_j\max\bigl(0,\ |c_j^T\lambda| - \Delta t\bigr)
+# $$\text{fuel} \ \ge\ \lambda^\top b - U\sum_j\max\bigl(0,\ |c_j^\top\lambda| - \Delta t\bigr)
 #   \qquad\text{for every }\lambda .$$
 #
 # The dual program maximizes the right-hand side. It has four variables and *no constraints*. By
@@ -96,8 +97,8 @@ assert np.isclose(primal.value, dual.value, rtol=1e-6)
 # %% [markdown]
 # ## The primer vector tells when to burn
 #
-# Put $\mathbf p[k] = (A^{T-1-k}B)^T\lambda/\Delta t$, the *primer vector* of spacecraft dynamics,
-# here of a sampled system. Then
+# Put $\mathbf p[k] = (A^{T-1-k}B)^\top\lambda/\Delta t$, the *primer vector* of spacecraft
+# dynamics, here of a sampled system. Then
 #
 # $$u_i[k] = \begin{cases}+U & p_i[k] > 1\\ -U & p_i[k] < -1\\ 0 & |p_i[k]| < 1\end{cases}
 #   \qquad\text{and only } |p_i[k]| = 1 \text{ leaves a choice.}$$
@@ -210,7 +211,7 @@ draw_primer(np.arange(count), found.u[0], primer, limit, "xyz", "min", 1e3)
 # $\|\mathbf u[k]\|_2 \le U$: a second-order cone program (Remark 1 allows $q = r = 2$). The dual
 # has the norm of the primer in place of each entry,
 #
-# $$\text{fuel} \ge \lambda^Tb - U\,\Delta t\sum_k\max(0, \|\mathbf p[k]\|_2 - 1) .$$
+# $$\text{fuel} \ge \lambda^\top b - U\,\Delta t\sum_k\max(0, \|\mathbf p[k]\|_2 - 1) .$$
 
 # %%
 one_engine = TransferProblem(steps, U, fuel_norm=2, control_norm=2)
@@ -290,7 +291,7 @@ assert np.allclose(slopes, price.value, atol=1e-4)
 # ### Exercise 3
 #
 # The target is 30 m away, and $T = 24$ steps are too few. *Prove* it: find $\lambda$ with
-# $\lambda^Tb > U\|C^T\lambda\|_1$, and say why that is a proof. How many steps are enough?
+# $\lambda^\top b > U\|C^\top\lambda\|_1$, and say why that is a proof. How many steps are enough?
 
 # %% tags=["hide-cell"]
 # For any u within the limit λᵀCu ≤ U ‖Cᵀλ‖₁ < λᵀb, so Cu = b is impossible. In the bound above

@@ -254,7 +254,7 @@ plt.show()
 # There, the straight distance means nothing: free motion carries a spacecraft along an ellipse. The
 # least control energy takes the place of $d^2$,
 #
-# $$E = \min \Delta t\sum_k\|\mathbf u[k]\|_2^2 = \Delta t\,b^T(CC^T)^{-1}b ,$$
+# $$E = \min \Delta t\sum_k\|\mathbf u[k]\|_2^2 = \Delta t\,b^\top(CC^\top)^{-1}b ,$$
 #
 # with $C$ and $b$ of Lesson 2. It is a convex quadratic form of $b$, as $d^2$ is, and for a double
 # integrator from rest to rest it *is* $12\,d^2/\tau^3$, up to the sampling.

@@ -141,8 +141,11 @@ plt.show()
 # ## The paper's ADMM
 #
 # The paper writes the program as $\min \langle C, X\rangle$ subject to $\mathcal A(X) = b$,
-# $X \succeq 0$, with $X = \begin{bmatrix}\gamma I & I \\ I & Z\end{bmatrix}$ (eq. 8): $X \succeq 0$
-# means $Z \succeq I/\gamma$, so a small $\gamma$ is a large rate. One iteration is (eq. 10)
+# $X \succeq 0$, with $X = \begin{bmatrix}\gamma I & I \\ I & Z\end{bmatrix}$ (eq. 8), where
+# $L = Q Z Q^{\mathsf H}$ and $Q$ is a basis of the complement of $K$. $X \succeq 0$ means
+# $Z \succeq I/\gamma$, so a small $\gamma$ is a large rate. With the dual variables $y$ and
+# $S$, a penalty $\mu > 0$, and $\mathcal P_{\mathrm{psd}}$ the projection onto the positive
+# semidefinite matrices, one iteration is (eq. 10)
 #
 # $$\begin{aligned}
 # y &\leftarrow (\mathcal A \mathcal A^*)^{-1}\bigl(\mathcal A(C - S - \mu X) + \mu b\bigr), &
