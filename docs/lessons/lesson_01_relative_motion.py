@@ -15,8 +15,8 @@
 #   \qquad\text{[Morgan2016, eq. 10]}$$
 #
 # with $\mathbf x = (\ell, \dot\ell)$, position and velocity, and $\mathbf u$ an acceleration. This
-# lesson derives $A$, $B$ and $z$ for spacecraft in orbit, checks them against integration, and
-# finds the initial velocity with which a spacecraft stays near its neighbors for free.
+# lesson derives $A$ and $B$ for spacecraft in orbit, checks them against integration, and finds the
+# initial velocity with which a spacecraft stays near its neighbors for free.
 
 # %%
 import os
@@ -48,8 +48,10 @@ print(f"n = {n:.6e} rad/s, one orbit takes {period / 60:.1f} min")
 # ## Motion relative to a circular orbit
 #
 # Put the axes at a reference point on the orbit, the *chief*: $x$ radial and outward, $y$ along the
-# track, $z$ normal to the plane (LVLH). They turn at $\boldsymbol\omega = (0, 0, n)$ with $n =
-# \sqrt{\mu/r^3}$. With $\mathbf g$ the gravity and $\mathbf r = (r, 0, 0)$,
+# track, $z$ normal to the plane (LVLH: local vertical, local horizontal). The spacecraft about it
+# are *deputies*, at $\ell = (x, y, z)$. The chief falls with gravity $\mathbf g(\mathbf r)$ at
+# $\mathbf r = (r, 0, 0)$. The axes turn at $\boldsymbol\omega = (0, 0, n)$, $n = \sqrt{\mu/r^3}$
+# with $\mu$ the Earth's gravitational parameter, and add a centrifugal and a Coriolis term:
 #
 # $$\ddot\ell = \mathbf g(\mathbf r + \ell) - \mathbf g(\mathbf r)
 #   - \boldsymbol\omega\times(\boldsymbol\omega\times\ell) - 2\,\boldsymbol\omega\times\dot\ell
@@ -61,9 +63,10 @@ print(f"n = {n:.6e} rad/s, one orbit takes {period / 60:.1f} min")
 # $$A = \left.\frac{\partial\mathbf f}{\partial\mathbf x}\right|_{\mathbf x^0},\qquad
 #   z = \mathbf f(\mathbf x^0) - A\,\mathbf x^0 .$$
 #
-# At the chief itself, $\mathbf x^0 = 0$, the gradient of $\mathbf g = -\mu\mathbf r/r^3$ is
-# $\mu/r^3\,(3\,\hat{\mathbf r}\hat{\mathbf r}^T - I) = n^2\,\mathrm{diag}(2, -1, -1)$, and $z = 0$.
-# Three lines of code give the Clohessy–Wiltshire equations.
+# This $z$ is a vector, not the coordinate. At the chief itself, $\mathbf x^0 = 0$, the gradient of
+# $\mathbf g = -\mu\mathbf r/r^3$ is $\mu/r^3\,(3\,\hat{\mathbf r}\hat{\mathbf r}^T - I) =
+# n^2\,\mathrm{diag}(2, -1, -1)$, and $z = 0$. Three lines of code give the Clohessy–Wiltshire
+# equations.
 
 # %%
 W = np.array([[0, -n, 0], [n, 0, 0], [0, 0, 0]])  # ω ×
@@ -76,7 +79,7 @@ kepler = J2(Orbit.from_elements(6_878e3, inclination=np.radians(45), k_J2=0.0))
 numerical, _ = kepler.jacobian(0.0, np.zeros(6), np.zeros(3))  # of the exact equations
 assert np.allclose(A, cw.A(0.0), rtol=0, atol=1e-18)
 assert np.allclose(A, numerical, rtol=0, atol=1e-15)
-print("Row of ẍ, in units of n² and n:", A[3] / [n**2, n**2, n**2, n, n, n])
+print("Row of ẍ, in units of n² and n:", A[3] / [n**2, n**2, n**2, n, n, n] + 0.0)
 
 # %% [markdown]
 # Written out:
@@ -90,10 +93,10 @@ print("Row of ẍ, in units of n² and n:", A[3] / [n**2, n**2, n**2, n, n, n])
 # (eq. 9). Then
 #
 # $$A[k] = e^{A\Delta t},\qquad B[k] = \int_0^{\Delta t} e^{A\tau}\,d\tau\;B
-#   \qquad\text{(eq. 11)} .$$
+#   \qquad\text{(eq. 11)},$$
 #
-# Both are blocks of one matrix exponential, since the pair $(\mathbf x, \mathbf u)$ with
-# $\dot{\mathbf u} = 0$ is itself a linear system [VanLoan1978]:
+# and $z[k]$ has $z$ in place of $B$. Both are blocks of one matrix exponential, since the pair
+# $(\mathbf x, \mathbf u)$ with $\dot{\mathbf u} = 0$ is itself a linear system [VanLoan1978]:
 #
 # $$\exp\left(\begin{bmatrix}A & B\\0 & 0\end{bmatrix}\Delta t\right)
 #   = \begin{bmatrix}A[k] & B[k]\\0 & I\end{bmatrix}.$$
@@ -103,7 +106,7 @@ dt = 60.0  # s, the step of Sec. VI.B
 E = expm(dt * np.block([[A, B], [np.zeros((3, 9))]]))
 Ad, Bd = E[:6, :6], E[:6, 6:]
 
-steps = discretize_zoh(cw, dt, count=10)  # of sato
+steps = discretize_zoh(cw, dt, count=10)  # the same by the toolkit
 assert np.allclose(Ad, steps.A[0], rtol=0, atol=1e-12)
 assert np.allclose(Bd, steps.B[0], rtol=0, atol=1e-12)
 
@@ -132,7 +135,7 @@ assert error[:3].max() < 1e-6
 # and `SchweighartSedwick` a model with constant matrices, in which J2 is averaged over the orbit.
 #
 # As printed, eq. 11 freezes $A(t_k)$ over the step. sato integrates $\dot\Phi = A(t)\,\Phi$
-# instead. How much does that matter? Compare both with much shorter steps.
+# instead. How much does that matter? Compare both with SciPy's integrator.
 
 # %%
 j2 = LinearizedModel(J2(orbit))
@@ -148,8 +151,9 @@ def product(matrices):
     return total
 
 
-exact = product(discretize_zoh(j2, 7.5, int(span / 7.5)).A)
 above = np.array([0.0, 0.0, 1000.0, 0.0, 0.0, 0.0])  # m, the state to carry forward
+solution = solve_ivp(lambda t, y: j2.A(t) @ y, (0, span), above, "DOP853", rtol=1e-13, atol=1e-12)
+exact = solution.y[:, -1]
 errors = {"Euler, I + A Δt": [], "A frozen (eq. 11)": [], "integrated": []}
 for h in lengths:
     times = np.arange(0, span, h)
@@ -157,7 +161,7 @@ for h in lengths:
     frozen = [expm(j2.A(t) * h) for t in times]
     integrated = discretize_zoh(j2, h, len(times)).A
     for error, matrices in zip(errors.values(), (euler, frozen, integrated), strict=True):
-        error.append(np.linalg.norm(((product(matrices) - exact) @ above)[:3]))
+        error.append(np.linalg.norm((product(matrices) @ above - exact)[:3]))
 
 figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
 for (name, error), mark in zip(errors.items(), "os^", strict=True):
@@ -176,8 +180,8 @@ assert at_60["integrated"] < 1e-6 < at_60["A frozen (eq. 11)"] < 1
 
 # %% [markdown]
 # Euler loses meters at any useful step. Freezing $A$ costs a decimeter at the paper's 60 s, less
-# than $R_\text{col} = 50$ m, but a target is to be met better than that. It is of first order in
-# $\Delta t$, and the integration costs little: there is no reason to freeze.
+# than the collision radius of 50 m, but a target is to be met better than that. The error is of
+# first order in $\Delta t$ for both; integration costs little: there is no reason to freeze.
 #
 # ## Which model for how long?
 #
@@ -219,7 +223,7 @@ for name, error in worst.items():
 assert worst["J2, linearized at the chief"] < worst["Clohessy–Wiltshire"] / 5
 
 # %% [markdown]
-# Within an orbit an averaged J2 is no better than none: what it leaves out, the part of J2 that
+# Over an orbit an averaged J2 is hardly better than none: what it leaves out, the part of J2 that
 # changes with the latitude, is as large as the average. The linearization about the chief has both.
 # The rest of its error is the curvature of gravity, of second order in the distance.
 #
@@ -230,8 +234,8 @@ assert worst["J2, linearized at the chief"] < worst["Clohessy–Wiltshire"] / 5
 # $$D = \dot y + 2nx$$
 #
 # is constant. Substitute $\dot y = D - 2nx$ into the first equation: $\ddot x = -n^2x + 2nD$, an
-# oscillation about $x = 2D/n$. So $\dot y$ is on average $D - 4D = -3D$, and each orbit the motion
-# drifts by
+# oscillation about $x = 2D/n$. So $\dot y = D - 2nx$ is on average $D - 4D = -3D$, and each orbit,
+# in the time $2\pi/n$, the motion drifts by
 #
 # $$\Delta y = -3D\,\frac{2\pi}{n} = -\frac{6\pi}{n}\,(\dot y + 2nx)
 #   \qquad\text{[m per orbit]} .$$
@@ -254,7 +258,7 @@ for state, label in ((centered, "$D = 0$"), (drifting, "$D = 5$ cm/s")):
 axes.plot(0, 0, "k+", ms=10)
 axes.annotate("chief", (0, 0), xytext=(6, 4), textcoords="offset points")
 axes.set(xlabel="y, along-track [km]", ylabel="x, radial [km]", aspect="equal")
-axes.legend(loc="upper right")
+axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncol=2, frameon=False)
 plt.show()
 
 # %% [markdown]
@@ -316,7 +320,7 @@ print(f"largest drift {np.abs(6 * np.pi / n * D).max() / 1e3:.1f} km per orbit")
 
 # %% tags=["hide-cell"]
 # Ḋ = ÿ + 2nẋ = u_y, so u_y = −D/Δt, held for Δt, makes D zero at any time. When it burns decides
-# where the ellipse is left, not whether it closes.
+# about which point the ellipse stays, not whether it closes.
 for wait in (1, 7, 20):
     path = discretize_zoh(cw, dt, wait + 1)
     u = np.zeros((100, wait + 1, 3))
@@ -328,9 +332,14 @@ print(f"Δv = |D|: {np.abs(D).mean():.2f} m/s on average")
 # %% [markdown]
 # ### Exercise 3
 #
-# Schweighart and Sedwick's in-plane equations have $c = \sqrt{1 + s}$ in place of 1, with $s
-# \propto 1 + 3\cos 2i$. At which inclination does J2, on average, leave the in-plane equations as
-# they are? Is the cross-track equation unchanged there too?
+# Schweighart and Sedwick's averaged equations are
+#
+# $$\ddot x = (5c^2 - 2)\,n^2x + 2nc\,\dot y + u_x,\qquad \ddot y = -2nc\,\dot x + u_y,\qquad
+#   \ddot z = -n^2\,(c + \kappa\cos^2 i)^2\,z + u_z$$
+#
+# with $c = \sqrt{1 + s}$, $s = \kappa\,(1 + 3\cos 2i)/4$, and $\kappa > 0$ the strength of J2. At
+# which inclination $i$ does J2, on average, leave the in-plane equations as they are? Is the
+# cross-track equation unchanged there too?
 
 # %% tags=["hide-cell"]
 # s = 0 where cos 2i = −1/3, so i = 54.74°.
@@ -338,8 +347,8 @@ inclination = np.arccos(-1 / 3) / 2
 critical = SchweighartSedwick(6_878e3, inclination)
 plain = ClohessyWiltshire(critical.n)
 assert np.allclose(critical.A(0.0)[[3, 4]], plain.A(0.0)[[3, 4]], rtol=0, atol=1e-15)
-# Across the track the rate is that of the argument of latitude, and the node moves back while the
-# spacecraft goes round: q > n. Over an orbit the phase is off by this angle.
+# With c = 1 the cross-track rate is n (1 + κ cos² i) > n: the node moves back while the spacecraft
+# goes round, so it meets the node again sooner. Over an orbit the phase gains this angle.
 phase = 360 * (critical.cross_track_rate / critical.n - 1)
 assert phase > 0
 print(f"i = {np.degrees(inclination):.2f}°, cross-track phase gains {phase:.3f}° per orbit")
