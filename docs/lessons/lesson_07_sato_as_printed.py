@@ -35,19 +35,23 @@ rng = np.random.default_rng(7)
 # %% [markdown]
 # ## Method 3
 #
-#     k₀ = 0
+#     k₀ = 0                                                               line 1
 #     while k₀ ≤ T:
-#         price all targets                                     Problem 6, l. 3–8
-#         assign them by the auction                            Method 1,  l. 9–10
-#         if the number of bids has changed:  k₀ = 0                       l. 11–13
-#         plan, clear of neighbors for T_H steps                Problem 7, l. 14
-#         fly T_H steps, and look again                                    l. 15–17
+#         find the costs of all targets                         Problem 6, lines 3–8
+#         assign targets by the auction                         Method 1,  lines 9–10
+#         if the number of bids has changed:  k₀ = 0                       lines 11–13
+#         plan to step T, clear of neighbors for T_H steps      Problem 7, line 14
+#         fly T_H steps:  k₀ ← k₀ + T_H                                    lines 15–17
+#
+# $T$ is the number of steps of a reconfiguration, $T_H$ the horizon of avoidance. The step $k_0$
+# from which an agent plans is its *clock*, and line 12 a *reset*.
 #
 # `plan.printed = true` flies just this: bids without the bidder's number, costs of fuel alone,
 # half-spaces (64) at samples alone, plans flown without a further check, and a new plan and auction
 # every $T_H = 6$ steps. The mission is the paper's (Sec. VI.A): 123 vehicles form the letters U, I,
 # U, C. Messages are instant and none is lost, and lost vehicles vanish: so they do in our loop, and
-# nothing below is their fault. The first leg is enough to see most.
+# nothing below is their fault. The first letter is enough to see most. Colors below are
+# *components*: agents that hear each other, over hops too, and hold one auction.
 
 
 # %%
@@ -63,10 +67,10 @@ printed = sato.run(first_leg(), seed=seed)
 radius = printed.summary["collision_radius_m"]
 position, component = printed.data.position.values, printed.data.component.values
 
-fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), sharex=True, sharey=True, layout="constrained")
+fig, axes = plt.subplots(1, 3, figsize=(10, 4), sharex=True, sharey=True, layout="constrained")
 for ax, k in zip(axes, (0, len(position) // 4, -1), strict=True):
     parts = len(np.unique(component[k]))
-    ax.scatter(*position[k].T, s=12, c=component[k] % 10, cmap="tab10", vmin=0, vmax=9)
+    ax.scatter(*position[k].T, s=12, c=component[k] % 20, cmap="tab20", vmin=0, vmax=19)
     time = float(printed.data.time[k])
     ax.set(xlabel="x [m]", aspect="equal", title=f"{time:.0f} s, {parts} components")
 axes[0].set(ylabel="y [m]")
@@ -90,10 +94,11 @@ resets = [event["time"] for event in printed.events("reset")]
 fig, ax = plt.subplots(figsize=(7, 2.8), layout="constrained")
 ax.plot(printed.data.time, least, lw=1)
 ax.axhline(radius, color="C3", lw=1)
-ax.annotate("R_col", (0, radius), xytext=(2, 3), textcoords="offset points", color="C3")
+beside = ax.get_yaxis_transform()  # x as a fraction of the axes, y in meters
+ax.text(0.99, radius - 0.03, "R_col", color="C3", ha="right", va="top", transform=beside)
 ax.vlines(resets, 0, 0.08, color="0.5", lw=1)
 ax.set(xlabel="time [s]", ylabel="least distance [m]", ylim=(0, None))
-ax.set_title("Ticks below: a clock goes back to 0 (l. 12)")
+ax.set_title("Ticks below: resets, where a clock goes back to 0 (line 12)")
 plt.show()
 
 separation, slack, ratio, steps, _ = measure(printed)
@@ -113,9 +118,9 @@ assert steps > printed.mission.legs[0].steps
 #
 # An agent notices that it was outbid if $\lvert p^i(j^i)\rvert > p^i_{\text{old}}(j^i)$: if the
 # price of its target rose. Two equal bids in one round raise it for neither, and both keep the
-# target. With real costs this seems impossible. But line 12 raises *all* prices by $\epsilon$ when
-# $m$ grows, every holder is then exactly $\epsilon$ short of changing, and two agents with the same
-# second choice bid the same number, to the last bit.
+# target. With real costs this seems impossible. But when $m$ grows, line 12 puts all targets up for
+# sale, and every holder bids exactly $2\epsilon$ on top of the price of its second choice
+# (lesson 4): two agents with the same second choice bid the same number, often to the last bit.
 
 
 # %%
@@ -147,15 +152,17 @@ assert count_failures(True, trials) == 0
 #
 # ## 2. Fuel does not choose (Problem 6)
 #
-# From rest to rest the fuel of a double integrator is proportional to $|\Delta x| + |\Delta y|$.
-# Very many assignments have nearly the same sum, and the auction takes any of them; trajectories of
-# most of them cross. Add a little of a strictly convex cost,
+# From rest to rest the fuel of a double integrator is nearly proportional to $|\Delta x| + |\Delta
+# y|$: a short burn to the mean speed on each axis, and one back. Very many assignments have nearly
+# the same sum, and the auction takes any of them; trajectories of most of them cross. Add a little
+# of a strictly convex cost,
 #
 # $$c = |\Delta x| + |\Delta y| + w\,(\Delta x^2 + \Delta y^2), \qquad w = 0.2\ \mathrm m^{-1}.$$
 #
 # The assignment that minimizes a sum of squared distances has straight, synchronous trajectories
-# that do not meet (for two: exchange them, and the sum falls). So among equals it takes one without
-# conflicts.
+# that do not meet (lesson 3; for two that meet: exchange their targets, and the sum falls). So
+# among nearly equal assignments one with fewer conflicts wins. Lines lead from starts to targets
+# (dots).
 
 # %%
 drawn = printed.drawn_mission
@@ -194,10 +201,10 @@ assert counts[0.2] < counts[0.0]
 #
 # ## 3. The clock goes back (Method 3, lines 11–13)
 #
-# Whenever two components meet, the number of bids changes, and $k_0 = 0$: everyone stops being
-# late, by planning the whole time again. In a swarm that starts in sixteen components that happens
-# again and again. Each plan is cheap, of least fuel for the time *left*; together they cost
-# accelerations that are thrown away.
+# Whenever two components meet, the number of bids changes, and $k_0 = 0$: agents have the whole
+# time again, and arrive later. In a swarm that starts in sixteen components that happens again and
+# again. Each plan is of least fuel for the time *left*; but what was burned for the plan before is
+# lost.
 #
 # *Cure:* `plan.reset = "need"`: a clock goes back only where an agent cannot arrive in the time
 # left.
@@ -209,9 +216,10 @@ assert counts[0.2] < counts[0.0]
 #
 # $$\sqrt{R_\text{col}^2 - (V_{\max}\Delta t)^2} = \sqrt{0.5^2 - 0.2^2} = 0.458\ \mathrm m .$$
 #
-# Less has another reason. (64) looks $T_H$ steps ahead, and what comes later shows only when it is
-# near. Then the planes of several neighbors contradict each other, the program is infeasible, and a
-# slack gives way: `slack_used` counts them. The printed loop flies such plans.
+# The measured 0.403 m is less, and has another reason. (64) looks $T_H$ steps ahead, and what comes
+# later shows only when it is near. Then the planes of several neighbors contradict each other, the
+# program is infeasible, and a slack gives way: `slack_used` counts them. The printed loop flies
+# such plans.
 #
 # *Cure:* half-spaces on the control points of each step, which imply the distance at all times
 # (lesson 6), and *commitments*: an agent flies only what it has found clear of the commitments of
@@ -277,10 +285,9 @@ if not small:  # half a minute
         legs, held = run.data.leg_index.values, run.data.position.values
         for leg, ax in enumerate(row):
             k = np.flatnonzero(legs == leg)[-1]
-            alive = run.data.alive.values[k]
-            ax.scatter(*held[k][alive].T, s=6, c=run.data.component.values[k][alive] % 10,
-                       cmap="tab10", vmin=0, vmax=9)  # fmt: skip
-            ax.set(aspect="equal", title=f"{name}, {float(run.data.time[k]):.0f} s")
+            alive, end = run.data.alive.values[k], min(k + 1, len(legs) - 1)
+            ax.plot(*held[end][alive].T, "C0.", ms=4)
+            ax.set(aspect="equal", title=f"{name}, {float(run.data.time[end]):.0f} s")
             ax.title.set_fontsize(9)
         row[0].set(ylabel="y [m]")
     for ax in axes[1]:
@@ -333,8 +340,10 @@ print(f"V_max = {(R_comm - radius) / (2 * 12 * dt):.3f} m/s")
 # %% [markdown]
 # ### Exercise 3
 #
-# Two agents, two targets, equal costs. Run Method 1 by hand with `VsdaaBidder`, a round at a time,
-# with and without ids. Which targets do they hold in the end?
+# Two agents, two targets, equal costs $(1, 2)$, $\epsilon = 0.1$. Run Method 1 a round at a time,
+# with and without ids. Which targets do they hold in the end? `VsdaaBidder(agent, costs, ε, ids,
+# quiet rounds to wait, m, WinningBids.empty(M))` is one agent of $M$ targets: `update` takes the
+# `bids` of its neighbors and returns the agent after the round.
 
 # %% tags=["hide-cell"]
 held = {}
