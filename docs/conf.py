@@ -30,6 +30,7 @@ exclude_patterns = ["_build", "_templates", "conf.py"]
 suppress_warnings = ["myst.header"]
 
 default_role = "code"
+highlight_language = "none"  # blocks that name no language are output
 templates_path = ["_templates"]
 autosummary_generate = True
 autodoc_typehints = "signature"

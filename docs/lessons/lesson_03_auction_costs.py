@@ -153,11 +153,11 @@ assert least_distance(eight, goals[best]) >= R
 # %% [markdown]
 # ## 123 vehicles
 #
-# The same with random starts and targets on a square lattice. Every assignment is that of a real
-# auction: `run_vsdaa` with bid increment $\varepsilon$ is within $N\varepsilon$ of the optimum
-# (Proposition 2). So $\varepsilon$ must be small enough to see the tie-break. Two neighboring
-# targets at the spacing $s$ differ in $w d^2$ by the order of $w s^2$. sato takes $\varepsilon =
-# \tfrac12 w s^2$.
+# The same with random starts and targets on a square lattice. Every assignment but the exact one is
+# that of a real auction: `run_vsdaa` with bid increment $\varepsilon$ is within $N\varepsilon$ of
+# the optimum (Proposition 2). So $\varepsilon$ must be small enough to see the tie-break. Two
+# neighboring targets at the spacing $s$ differ in $w d^2$ by the order of $w s^2$. sato takes
+# $\varepsilon = \tfrac12 w s^2$.
 
 # %%
 N = 30 if small else 123

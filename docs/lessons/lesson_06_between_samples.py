@@ -181,7 +181,7 @@ assert fine.min() >= exact.distance
 # %% [markdown]
 # ## A guarantee for the whole step
 #
-# $r(s)$ is a weighted mean of $b_0, \dots, b_3$: the weights are positive and sum to one. So if
+# $r(s)$ is a weighted mean of $b_0, \dots, b_3$: the weights are not negative and sum to one. So if
 # *one* unit vector $n$ has
 #
 # $$n^Tb_i \ge R\quad\text{for } i = 0, 1, 2, 3,

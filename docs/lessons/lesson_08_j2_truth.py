@@ -177,8 +177,8 @@ for name, values in found.items():
 #
 # The last plans are the dangerous ones. With noisy measurements each plan corrects an error that is
 # not there; with $\tau$ seconds left a correction of $e$ meters takes a speed of about $e/\tau$.
-# Two steps are the least in which a control can correct position and velocity, and then its size is
-# fixed: no room for a minimum.
+# Two steps are the least in which controls can correct position and velocity. They are determined
+# then, and nothing is left to minimize.
 
 # %%
 freezes, trials = ([1, 3, 9], 3) if small else ([1, 2, 3, 4, 6, 9], 40)

@@ -82,7 +82,7 @@ plt.show()
 
 # %% [markdown]
 # On the **complete graph** no program is needed. Fix the mean eigenvalue of $-A$ outside the kernel
-# to 1, for otherwise $cA$ with a larger $c$ is always faster. The slowest is then at most the mean,
+# to 1, for otherwise $sA$ with a larger $s$ is always faster. The slowest is then at most the mean,
 # and
 #
 # $$L = -A = I - K K^{\mathsf H}$$
@@ -194,7 +194,7 @@ assert stopped < 0 < best
 # %% [markdown]
 # ## The certificate
 #
-# Take *any* Hermitian $Y$ with entries at non-edges only. Let $Q$ span the complement of $K$,
+# Take *any* Hermitian $Y \ne 0$ with entries at non-edges only. Let $Q$ span the complement of $K$,
 # $W = Q^{\mathsf H} Y Q$, $\ell$ the least eigenvalue of $W$ and $\bar\mu$ the mean of all. Every
 # $L = Q Z Q^{\mathsf H}$ that the graph allows is zero where $Y$ is not, so
 #

@@ -105,10 +105,10 @@ plt.show()
 # %% [markdown]
 # ## The auction, round by round
 #
-# Each vehicle now knows its squared distance $d_{ij}^2$ to every aligned point, and no two
-# vehicles mean quite the same places. The consensus-based auction (CBAA) [Choi2009] still gives
-# each a point of its own, since it compares scores $c_{ij} = 1/d_{ij}^2$ (eq. 15), not places.
-# In each round a vehicle
+# Each vehicle now knows its squared distance $d_{ij}^2$ to every aligned point, and places the
+# points a little differently from the others. The consensus-based auction (CBAA) [Choi2009] still
+# gives each a point of its own, since it compares scores $c_{ij} = 1/d_{ij}^2$ (eq. 15), not
+# places. In each round a vehicle
 #
 # 1. takes from its neighbors, point by point, the larger bid (of equal ones the smaller bidder's),
 # 2. if it was outbid or has no point, bids $c_{ij}$ on the best point where that wins.

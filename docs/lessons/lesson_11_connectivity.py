@@ -84,8 +84,8 @@ plt.show()
 # $$v^T L v = \sum_{i<j} A_{ij} (v_i - v_j)^2 ,$$
 #
 # so all eigenvalues are at least 0, and $\lambda_2 > 0$ if and only if the graph is connected. The
-# unit eigenvector $v_2$, the *Fiedler vector*, is the cheapest way to give the robots different
-# numbers: it changes most across the weakest cut. For a simple $\lambda_2$,
+# unit eigenvector $v_2$, the *Fiedler vector*, minimizes $v^T L v$ among unit vectors orthogonal to
+# 1, the vector of ones: it changes most across the weakest cut. For a simple $\lambda_2$,
 #
 # $$\lambda_2 = v_2^T L v_2, \qquad
 # \frac{\partial \lambda_2}{\partial A_{ij}} = (v_{2i} - v_{2j})^2 .$$
