@@ -211,14 +211,14 @@ assert counts[0.2] < counts[0.0]
 # ## 4. Samples, and plans that nobody checks (eq. 64)
 #
 # (64) holds at the instants $k\Delta t$. Two vehicles at $R_\text{col}$ at both ends of a step, and
-# passing at the relative speed $2V_{\max}$, are in between as near as
+# passing on straight lines at the relative speed $2V_{\max}$, are in between as near as
 #
 # $$\sqrt{R_\text{col}^2 - (V_{\max}\Delta t)^2} = \sqrt{0.5^2 - 0.2^2} = 0.458\ \mathrm m .$$
 #
-# The measured 0.403 m is less, and has another reason. (64) looks $T_H$ steps ahead, and what comes
-# later shows only when it is near. Then the planes of several neighbors contradict each other, the
-# program is infeasible, and a slack gives way: `slack_used` counts them. The printed loop flies
-# such plans.
+# The measured 0.403 m is less, at samples already, and has another reason. (64) looks $T_H$ steps
+# ahead, and what comes later shows only when it is near. Then the planes of several neighbors
+# contradict each other, the program is infeasible, and a slack gives way: `slack_used` counts them.
+# The printed loop flies such plans.
 #
 # *Cure:* half-spaces on the control points of each step, which imply the distance at all times
 # (lesson 6), and *commitments*: an agent flies only what it has found clear of the commitments of
