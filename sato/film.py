@@ -20,6 +20,7 @@ from sato.figures.axes import (
     add_axes,
     add_legend,
     draw_paths,
+    escape_formulas,
     set_axis_bounds,
 )
 from sato.figures.style import DARK_GRAY, GRAY, LIGHT_GRAY
@@ -100,7 +101,7 @@ class SwarmFilm:
             style = {"marker": MARKERS[number], "color": color, "ls": "", "ms": 4.2, "mew": 0}
             ax.plot(*place[values == number].T / scale, **style, zorder=3)
         ax.plot(*place[status == LOST].T / scale, "x", color=DARK_GRAY, ms=4.5, mew=1.1, zorder=2)
-        stage = [name for start, name in scene.stages if start <= time]
+        stage = [escape_formulas(name) for start, name in scene.stages if start <= time]
         words = [*stage[-1:], f"t = {self._view.format_time(round(time, 1))}"]
         ax.set_title("     ".join([*words, f"{int((status == ALIVE).sum())} vehicles"]))
         if not space.is_flat:

@@ -39,7 +39,7 @@ from sato.record import drawn_mark, find_drawn
 
 LETTERS = """
 [[leg]]
-shape = { kind = "text", text = "U" }
+shape = { kind = "text", text = "U$_$" }
 [[leg]]
 shape = { kind = "ring" }
 """
@@ -142,7 +142,7 @@ def test_panels_share_limits_and_scale(name, run):
 def test_stages_are_the_start_each_leg_end_and_each_loss():
     axes = drawn("stages", "plane").axes
     titles = [ax.get_title().split("\n")[0] for ax in axes]
-    after = ["(b) after leg 1, ‘U’", "(c) 1 agent lost", "(d) after leg 2, ring"]
+    after = [r"(b) after leg 1, ‘U\$_\$’", "(c) 1 agent lost", "(d) after leg 2, ring"]
     assert titles == ["(a) start", *after]
     assert [ax.get_title().split("\n")[1] for ax in axes[:2]] == ["3 components", "1 component"]
 
@@ -225,7 +225,7 @@ def test_half_space_is_of_the_closest_pair_as_flown(distance, said):
     assert gap[::6].max() < 1e-9  # six points a step, the first of which is recorded
 
 
-def test_half_space_is_left_out_where_no_two_flew_at_a_time():
+def test_figures_of_pairs_are_left_out_where_no_two_flew_at_a_time():
     run, record = flown("only start")
     assert PAIR_FIGURES.keys().isdisjoint(make_figures(run.recorded, record.mission))
 

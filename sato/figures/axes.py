@@ -151,6 +151,11 @@ def add_titles(axes: Iterable[Any], titles: Sequence[str], **options: Any) -> No
         ax.set_title(f"({letter}) {title}", **options)
 
 
+def escape_formulas(text: str) -> str:
+    """Escape the dollar signs of a text, which matplotlib would take for those of a formula."""
+    return text.replace("$", r"\$")
+
+
 def add_legend(figure: Figure, *handles: Any, title: str | None = None) -> None:
     """Add a legend below all panels: each label in them once, then those of the handles."""
     entries: dict[str, Any] = {}

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
-from sato.figures.axes import add_titles
+from sato.figures.axes import add_titles, escape_formulas
 from sato.figures.style import DARK_GRAY
 from sato.formation.check.recorded import FormationRecord
 
@@ -49,7 +49,7 @@ def _matrix_title(way: str, rate: float, bound: float) -> str:
 
 def _graph_title(gains: GainMatrix) -> str:
     formation = gains.formation
-    name = formation.name.rpartition("/")[2] or f"{len(formation.points)} points"
+    name = escape_formulas(formation.name.rpartition("/")[2]) or f"{len(formation.points)} points"
     edges = f"{formation.edge_count} edges, {100 * formation.density:.3g} % of all"
     both = f"rate {gains.convergence_rate:.3f}/s, jointly ≤ {gains.joint_bound:.3f}/s"
     return f"{name}, by {gains.method}\n{edges}\n{both}"

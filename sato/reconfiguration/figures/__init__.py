@@ -19,10 +19,12 @@ FIGURES = {
     "first-leg": snapshots.plot_first_leg,
     "trajectories": snapshots.plot_trajectories,
     "time-series": time_series.plot_time_series,
-    "separation": measures.plot_separation,
     "fuel": measures.plot_fuel,
 }
-PAIR_FIGURES = {"half-space": half_space.plot_half_space}
+PAIR_FIGURES = {
+    "half-space": half_space.plot_half_space,
+    "separation": measures.plot_separation,
+}
 ORBIT_FIGURES = {
     "instants": snapshots.plot_instants,
     "space": snapshots.plot_space,
