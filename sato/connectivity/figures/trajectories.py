@@ -33,17 +33,21 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     frames, mission, obstacles = record.frames, record.mission, record.mission.obstacle_arrays
     margin = mission.repulsion.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
     points = frames.position, mission.stick.waypoints
-    space = AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin)
+    space = _enclose_obstacles(
+        AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin), obstacles
+    )
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
     is_long = flat.aspect < LONG_ASPECT  # the two views are then one above the other
     rows, columns = (2, 1) if is_long else (1, 2)
-    figure = Figure(figsize=(8.2, 7.2) if is_long else (8.8, 4.6))
-    figure.set_layout_engine("constrained", wspace=0.15, h_pad=0.3)  # for the labels in space
+    figure = Figure(figsize=(8.2, 7.4) if is_long else (8.8, 4.6))
+    figure.set_layout_engine("constrained", wspace=0.15, h_pad=0.1)
     cells = (rows, columns, 1), (rows, columns, 2)
     deep, above = add_axes(figure, space, cells[0]), add_axes(figure, flat, cells[1])
     deep.computed_zorder = False
-    deep.set_box_aspect(space.size, zoom=1.5 if is_long else 1.25)
+    deep.set_box_aspect(space.size, zoom=1.9 if is_long else 1.25)
     deep.zaxis.set_major_locator(MaxNLocator(3))  # a route is long and flat
+    for axis in (deep.yaxis, deep.zaxis) if is_long else ():
+        axis.labelpad = -8  # the distance of a label grows with the enlargement
     draw_obstacles_3d(deep, obstacles, space)
     height = float(frames.position[-1, :, 2].mean())
     draw_obstacles_above(above, obstacles, space, height)
@@ -59,6 +63,19 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     add_titles((deep, above), [f"{frames.time[-1]:g} s of flight", "from above"])
     add_legend(figure, *([Patch(**OBSTACLE_STYLE, label="obstacle")] if obstacles.total else []))
     return figure
+
+
+def _enclose_obstacles(space: AxisBounds, obstacles: Obstacles) -> AxisBounds:
+    """Widen bounds in the plane to show whole each sphere that they cut."""
+    center, radius = obstacles.spheres[:, :3], obstacles.spheres[:, 3:]
+    low, high = center - radius, center + radius
+    cut = ((low < space.high) & (high > space.low)).all(axis=1)
+    low, high = np.vstack([space.low, low[cut]]), np.vstack([space.high, high[cut]])
+    plane = np.array([True, True, False])
+    return space._replace(
+        low=np.where(plane, low.min(axis=0), space.low),
+        high=np.where(plane, high.max(axis=0), space.high),
+    )
 
 
 def _draw_trajectories(ax: Any, record: ConnectivityRecord, space: AxisBounds) -> None:
