@@ -26,7 +26,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 120  # of a cell [s]
 nb_merge_streams = True
 nb_code_prompt_show, nb_code_prompt_hide = "Show the answer", "Hide the answer"
-exclude_patterns = ["_build", "_templates", "conf.py"]
+exclude_patterns = ["_build", "_static", "_templates", "conf.py"]
 suppress_warnings = ["myst.header"]
 
 default_role = "code"
@@ -41,6 +41,8 @@ napoleon_numpy_docstring = False
 
 html_theme = "furo"
 html_title = f"sato {release}"
+html_static_path = ["_static"]
+html_css_files = ["pages.css"]
 
 
 def prepare_docstring(app, what, name, obj, options, lines):
