@@ -126,12 +126,13 @@ PAPERS = (
             ),
             Picture(
                 "sato-5", "Fig. 5",
-                "From random positions to a U: networks merge on the way.",
+                "From random positions to a U. Networks, by color and mark, merge on the way.",
                 "first-leg", (UIUC,),
             ),
             Picture(
                 "sato-6", "Fig. 6",
-                "48 spacecraft in orbit form a circle in a quarter of a period.",
+                "48 spacecraft in orbit form a circle in a quarter of a period. Lines are the last "
+                "steps of each; a target is drawn where it will be at arrival.",
                 "instants", (ORBIT,),
             ),
         ),
@@ -140,11 +141,11 @@ PAPERS = (
         "Formation",
         "Formation flight [Lusk2020]",
         (
-            "### Formation, Fig. 1\n\nA photograph of six multirotors.\n",
+            "### Formation, Fig. 1\n\nNot drawn: a photograph of six multirotors.\n",
             Picture(
                 "formation-2", "Fig. 2",
-                "What vehicles may have to share: one frame (a), its orientation (b), or nothing "
-                "(c), as by default here.",
+                "All vehicles measure in one frame (a), in frames of equal orientation (b), or "
+                "each in a frame of its own (c), as by default here.",
                 pictures.draw_frames,
                 (
                     Flight("formation6", ("frames.yaw=aligned", "frames.offset_m=0.0")),
@@ -154,7 +155,7 @@ PAPERS = (
             ),
             Picture(
                 "formation-3", "Fig. 3",
-                "Modules of the pipeline, and the files that carry them: a diagram.",
+                "Parts of the method, and the files in which they are: a diagram, not a run.",
                 pictures.draw_modules,
             ),
             Picture(
@@ -172,31 +173,41 @@ PAPERS = (
             ),
             Picture(
                 "formation-6", "Fig. 6",
-                "Formations of six with graphs that are not complete.",
+                "The three formations of six, and their graphs, which are not complete.",
                 pictures.draw_graphs, (SIX,),
             ),
             Picture(
                 "formation-7", "Fig. 7",
                 "Without assignment, and with the avoidance as printed, vehicles block each "
-                "other's ways to their points.",
+                "other's ways to their points, from above and from the side.",
                 pictures.draw_gridlock, (GRIDLOCK,),
             ),
-            table("table1", "I", "`sato campaign run campaigns/table1.toml --workers 1`"),
+            table(
+                "table1", "I",
+                "[Design of gains](formation.md#table-i-time-to-design-gains-and-their-rate): "
+                "`sato campaign run campaigns/table1.toml --workers 1`",
+            ),
             table(
                 "table2", "II",
+                "[Simulated trials](formation.md#table-ii-30-vehicles-100-trials): "
                 "`sato campaign run campaigns/table2-complete.toml`, and `table2-thinned.toml`",
             ),
-            table("table3", "III", "`sato campaign run campaigns/table3.toml`"),
+            table(
+                "table3", "III",
+                "[Three formations, twice]"
+                "(formation.md#table-iii-six-vehicles-three-formations-twice), simulated here, "
+                "hardware in the paper:\n`sato campaign run campaigns/table3.toml`",
+            ),
         ),
     ),
     Paper(
         "Connectivity",
         "Connectivity maintenance [Bernard2023]",
         (
-            "### Connectivity, Fig. 1\n\nA screenshot of the authors' simulator.\n",
+            "### Connectivity, Fig. 1\n\nNot drawn: a screenshot of the authors' simulator.\n",
             Picture(
                 "connectivity-2", "Fig. 2",
-                "The potential of λ₂ (a), with its negative slope and the repulsion.",
+                "The potential of λ₂ (a), its negative slope (b), and the repulsion (c).",
                 "potential", (LINKED,),
             ),
             Picture(
@@ -207,22 +218,24 @@ PAPERS = (
             ),
             Picture(
                 "connectivity-4", "Figs. 4 and 5",
-                "Trajectories in space, and from above, with a dot every 5 s.",
+                "Trajectories in space (a) and from above (b), with a dot every 5 s. Stars are "
+                "waypoints of the leader.",
                 "paths", (LINKED,),
             ),
             Picture(
                 "connectivity-6a", "Fig. 6, top",
-                "λ₂ and its six estimates; green while the stick is held.",
+                "λ₂ and its six estimates, and their errors; green while the stick is held.",
                 "connectivity", (LINKED,),
             ),
             Picture(
                 "connectivity-6b", "Fig. 6, bottom",
-                "Number of edges.",
+                "Number of edges, and of those where both see each other.",
                 "edges", (LINKED,),
             ),
             Picture(
                 "connectivity-7", "Fig. 7",
-                "Errors of estimated relative yaws, on bands of the four kinds of visibility.",
+                "Errors of estimated relative yaws, on bands of the four kinds of visibility. "
+                "Where neither of two sees the other, nothing corrects the estimate, or uses it.",
                 "yaw", (LINKED,),
             ),
             "### Connectivity, Table I\n\nThe parameters are those of `sato show connectivity`.\n",
@@ -266,10 +279,10 @@ def to_png(figure: Figure) -> bytes:
 def format_page() -> str:
     """Return docs/gallery.md."""
     parts = [
-        "# Gallery\n\nEvery figure and table of the three papers, drawn "
-        "from runs of this repository. `make gallery` flies them\nall and draws docs/gallery, "
-        "`make gallery FIGURE=sato-3` one; the scripts are scripts/make_gallery.py and\n"
-        "scripts/gallery_pictures.py.\n"
+        "# Gallery\n\nFigures and tables of the three papers, in their order. Each picture is "
+        "drawn from runs of this repository,\nby the commands below it. `make gallery` draws all, "
+        "`make gallery FIGURE=sato-3` one. How far each agrees\nwith the paper is in the "
+        "[map of the papers](papers.md).\n"
     ]
     for paper in PAPERS:
         parts.append(f"## {paper.title}\n")

@@ -16,7 +16,8 @@
 #
 # with $\mathbf x = (\ell, \dot\ell)$, position and velocity, and $\mathbf u$ an acceleration. This
 # lesson derives $A$ and $B$ for spacecraft in orbit, checks them against integration, and finds the
-# initial velocity with which a spacecraft stays near its neighbors for free.
+# initial velocity with which a spacecraft stays near its neighbors for free. The page on
+# [spacecraft in orbit](../orbit.md) has the numbers of the toolkit.
 
 # %%
 import os

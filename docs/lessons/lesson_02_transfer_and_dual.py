@@ -20,7 +20,8 @@
 #   \end{aligned}$$
 #
 # This lesson solves it, derives its dual, reads from the dual *when* to burn, and uses the dual to
-# check an answer without trusting the solver that found it.
+# check an answer without trusting the solver that found it. The page of the
+# [method](../method.md#all-auction-costs-at-once) says how the toolkit solves all pairs at once.
 
 # %%
 import os

@@ -19,7 +19,8 @@
 #
 # and plans trajectories afterwards. Remark 3 says which cost $C$ to take: the fuel of the transfer
 # *without* collision avoidance. This lesson shows why that alone is a poor choice. Very many
-# assignments burn the same fuel, and in nearly all of them paths come too close.
+# assignments burn the same fuel, and in nearly all of them paths come too close. The cost that the
+# toolkit takes is on the page of the [method](../method.md#assignment).
 
 # %%
 import os

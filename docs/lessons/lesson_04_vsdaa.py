@@ -27,7 +27,9 @@
 # by $\varepsilon$ and become negative, so that $|p|$ still counts.
 #
 # An agent that has heard nothing new for $2D$ rounds stops, with $D$ the diameter of the network,
-# the largest number of hops between two agents.
+# the largest number of hops between two agents. How agents learn $D$ is on the page of the
+# [method](../method.md#assignment); errors of the printed lines are on a [page of their
+# own](../errors-morgan2016.md).
 
 # %%
 import os

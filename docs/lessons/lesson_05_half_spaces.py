@@ -17,7 +17,8 @@
 # with $G$ picking the position. The set of allowed positions is the *outside* of a disc, which is
 # not convex: it has a hole. SATO replaces the outside by a half-plane that is inside of it (eq.
 # 38), solves the convex program, and repeats about the solution. This is sequential convex
-# programming, SCP (Method 2). In this lesson you draw the half-planes of every iteration.
+# programming, SCP (Method 2). In this lesson you draw the half-planes of every iteration. How the
+# toolkit plans is on the page of the [method](../method.md#trajectories).
 
 # %%
 from itertools import pairwise

@@ -16,7 +16,8 @@
 #   \qquad\text{(eq. 13)},$$
 #
 # and so do eqs. 38 and 64. Vehicles move between samples. This lesson measures how near they come,
-# finds the nearest instant exactly, and derives the constraint that holds in continuous time.
+# finds the nearest instant exactly, and derives the constraint that holds in continuous time. The
+# page on [safety](../safety.md) goes on from there to a proof for whole flights.
 
 # %%
 import os

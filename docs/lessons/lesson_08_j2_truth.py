@@ -250,8 +250,8 @@ for name, run in runs.items():
 assert worst["J2, about each trajectory"] < 1e-6
 
 # %% [markdown]
-# `sato check` flies each step again on the plant. The [page](../orbit.md) has 20 seeds, with noise,
-# thrust errors and drag.
+# `sato check` flies each step again on the plant. The page on [orbits](../orbit.md) has 20 seeds,
+# with noise, thrust errors and drag.
 
 # %% [markdown]
 # ## Exercises

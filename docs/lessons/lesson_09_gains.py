@@ -13,7 +13,8 @@
 # the design as a semidefinite program [Lusk2020, eqs. 5 and 7], runs the iteration that the paper
 # solves it with (eq. 10), and ends with a bound that proves how far any gains are from the optimum.
 #
-# You need: eigenvalues of Hermitian matrices, and the idea of a dual variable.
+# You need: eigenvalues of Hermitian matrices, and the idea of a dual variable. The methods of the
+# toolkit are on the page of [formation flight](../formation.md#gains).
 
 # %%
 import os

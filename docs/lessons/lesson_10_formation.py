@@ -316,7 +316,8 @@ assert runs["vsdaa"].summary["path_m"] < runs["none"].summary["path_m"]
 # %% [markdown]
 # Without an auction vehicles fly several times as far, in each other's way, and thirty of them end
 # with a shape error above the tolerance. The distributed auctions come near to the central optimum.
-# The trials of the paper's Table II, many seeds of each kind, are on the [page](../formation.md).
+# The trials of the paper's Table II, many seeds of each kind, are on the page of
+# [formation flight](../formation.md#table-ii-30-vehicles-100-trials).
 
 # %% [markdown]
 # ## Exercises

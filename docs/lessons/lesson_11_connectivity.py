@@ -162,7 +162,7 @@ assert worst < 1e-6
 # %% [markdown]
 # As printed, Sec. III-C computes $\beta_{ji} = -{}^iR_j\,\beta_{ij}$. The rotation must be
 # transposed, $\beta_{ji} = -({}^iR_j)^T \beta_{ij}$; the test above finds such errors at once. The
-# [page](../connectivity.md) lists all of them.
+# page of [connectivity](../connectivity.md#errors-of-the-paper) lists all of them.
 #
 # ## The potential
 #
