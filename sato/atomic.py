@@ -5,7 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from errno import EEXIST
+from errno import EEXIST, EISDIR
 from pathlib import Path
 
 
@@ -66,6 +66,9 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
             former.mkdir()
             yield new
             names = {path.name for path in new.iterdir()}
+            for name in names:
+                if (folder / name).is_dir():
+                    raise IsADirectoryError(EISDIR, f"{name} is a folder, and stays as it is")
             gone = {path.name for path in old} | {
                 name for name in names if (folder / name).exists()
             }

@@ -1,6 +1,7 @@
 """Run files: frames stacked to the data of a run, which is written and read as netCDF-4."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +31,7 @@ from sato.systems import load_system
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
+MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
@@ -118,7 +120,17 @@ def find_drawn(folder: Path, digest: object = "") -> list[Path]:
     """Find the figures, films and players in a folder: all, or those of the run with a digest."""
     mark = drawn_mark(digest).encode()
     paths = (path for end in DRAWN_FORMATS for path in sorted(folder.glob(f"*.{end}")))
-    return [path for path in paths if mark in path.read_bytes()]
+    return [path for path in paths if mark in _read_ends(path)]
+
+
+def _read_ends(path: Path) -> bytes:
+    """Read the first and last bytes of a file, where marks are; none of what cannot be read."""
+    if not (path.is_file() and os.access(path, os.R_OK)):
+        return b""
+    with path.open("rb") as file:
+        first = file.read(MARKED)
+        file.seek(max(path.stat().st_size - MARKED, len(first)))
+        return first + file.read()
 
 
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:

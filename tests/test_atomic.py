@@ -141,6 +141,15 @@ def test_a_process_killed_amid_a_replacement_leaves_no_mixture(tmp_path, count):
     assert len(left) < 2
 
 
+def test_a_folder_of_the_name_of_a_new_file_is_not_replaced(tmp_path):
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a").write_text("former")
+    with pytest.raises(OSError, match="b is a folder, and stays as it is"):
+        write_all(tmp_path)
+    assert (tmp_path / "b").is_dir() and (tmp_path / "a").read_text() == "former"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
 def test_an_error_leaves_all_files_and_names_their_folder(tmp_path):
     (tmp_path / "a").write_text("former")
 

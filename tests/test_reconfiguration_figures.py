@@ -363,6 +363,9 @@ def test_a_full_disk_leaves_the_figures_and_the_film_that_were_there(method, tmp
 def test_figures_and_films_of_another_run_do_not_stay_beside_a_run(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
     (tmp_path / "mine.png").write_bytes(b"of my own")
+    quoted = drawn_mark().join(["<p>".ljust(1 << 17), "".rjust(1 << 17)])
+    (tmp_path / "mine.html").write_text(quoted)
+    (tmp_path / "folder.pdf").mkdir()
     first, other = flown("pair")[0], flown("plane")[0]
     first.plot(tmp_path)
     first.animate(tmp_path, frames=2)
@@ -372,7 +375,7 @@ def test_figures_and_films_of_another_run_do_not_stay_beside_a_run(tmp_path, mon
     assert set(find_drawn(tmp_path)) == drawn_files
     other.save(tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == ["mine.png", "run.nc", "summary.json"]
+    assert names == ["folder.pdf", "mine.html", "mine.png", "run.nc", "summary.json"]
 
 
 def test_an_ffmpeg_that_fails_is_told_and_leaves_the_film(tmp_path, monkeypatch):
