@@ -27,7 +27,7 @@ from sato.record import RunFileError
 from sato.run_data import RunData
 from sato.runs import Run
 from sato.scenario.errors import InputError
-from sato.scene import ALIVE, LOST, enclose_obstacle
+from sato.scene import ALIVE, LOST, Links, enclose_obstacle
 from sato.systems import load_system
 
 CHROMIUM = shutil.which("chromium")
@@ -210,6 +210,13 @@ def test_constants_and_unknown_numbers_are_encoded_exactly():
         series = (scene.series[0]._replace(values=np.full(len(scene.time), constant)),)
         header, read = decode(encode_scene(replace(scene, series=series), {}))
         np.testing.assert_array_equal(read(header["series"][0]["values"]), series[0].values)
+
+
+def test_a_scene_in_which_none_are_linked_is_encoded():
+    listed = ((0, np.zeros((0, 2), dtype=int)),)
+    scene = replace(shown("plane"), links=Links("links", listed=listed))
+    header, _ = decode(encode_scene(scene, {}))
+    assert header["links"]["count"] == header["links"]["pairs"]["shape"] == [0]
 
 
 def test_run_of_a_system_without_scenes_is_refused_in_a_sentence(monkeypatch):

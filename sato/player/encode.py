@@ -40,7 +40,7 @@ class ArrayWriter:
         scale = 1.0 if is_whole else (high - low) / (LARGEST - 1) or abs(low)
         first = int(np.floor(low / scale))  # zero is exact
         codes = np.where(is_finite, np.round(values / scale) - first, MISSING)
-        wrapped = codes.astype(np.int64).reshape(len(codes), -1)
+        wrapped = codes.astype(np.int64).reshape(len(codes), codes.size // max(len(codes), 1))
         for _ in range(2):
             wrapped = np.diff(wrapped, axis=0, prepend=np.zeros_like(wrapped[:1]))
         flat = wrapped.astype(np.uint16).T.ravel()  # the instants of one number side by side
