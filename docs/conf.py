@@ -4,6 +4,8 @@ import inspect
 from dataclasses import MISSING
 from importlib.metadata import version as version_of
 
+from sphinx.ext import autosummary
+
 from dynamics.units import Unit
 from sato.scenario.definition import Definition, fields_of
 
@@ -33,6 +35,7 @@ default_role = "code"
 highlight_language = "none"  # blocks that name no language are output
 templates_path = ["_templates"]
 autosummary_generate = True
+autosummary.WELL_KNOWN_ABBREVIATIONS += ("eq.", "sec.", "Sec.")  # do not end a sentence
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "show-inheritance": True}
