@@ -25,7 +25,11 @@ from sato.connectivity.figures.time_series import (
     count_edges,
     select_pairs,
 )
-from sato.connectivity.figures.trajectories import draw_obstacles_3d, draw_obstacles_above
+from sato.connectivity.figures.trajectories import (
+    draw_obstacles_3d,
+    draw_obstacles_above,
+    enclose_obstacles,
+)
 from sato.connectivity.loop import simulate
 from sato.connectivity.obstacles import Obstacles
 from sato.connectivity.system import SYSTEM
@@ -296,6 +300,12 @@ def test_obstacles_are_clipped_to_the_axes():
     assert {round(z, 9) for z in wall[2]} == {0, 4}
     turns = np.diff([*map(tuple, floor[:2].T), tuple(floor[:2, 0])], axis=0)
     assert (np.abs(turns).sum(axis=1) == 4).all()  # along the sides, in order
+
+
+def test_bounds_show_spheres_that_they_cut_whole_from_above():
+    spheres = np.array([[-0.5, 2.0, 2.0, 1.0], [2.0, 2.0, 4.5, 1.0], [9.0, 2.0, 2.0, 1.0]])
+    shown = enclose_obstacles(SPACE, Obstacles(spheres, np.zeros((0, 6)), np.zeros((0, 4))))
+    assert [*shown.low, *shown.high] == [-1.5, 0, 0, 4, 4, 4]
 
 
 def test_from_above_a_wall_is_filled_and_a_floor_is_not():

@@ -33,7 +33,7 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     frames, mission, obstacles = record.frames, record.mission, record.mission.obstacle_arrays
     margin = mission.repulsion.max_distance if obstacles.total else FIELD_OF_VIEW_RADIUS
     points = frames.position, mission.stick.waypoints
-    space = _enclose_obstacles(
+    space = enclose_obstacles(
         AxisBounds.enclosing(("x", "y", "z"), *points, margin=margin), obstacles
     )
     flat = AxisBounds(space.low[:2], space.high[:2], space.labels[:2])
@@ -65,7 +65,7 @@ def plot_trajectories(record: ConnectivityRecord) -> Figure:
     return figure
 
 
-def _enclose_obstacles(space: AxisBounds, obstacles: Obstacles) -> AxisBounds:
+def enclose_obstacles(space: AxisBounds, obstacles: Obstacles) -> AxisBounds:
     """Widen bounds in the plane to show whole each sphere that they cut."""
     center, radius = obstacles.spheres[:, :3], obstacles.spheres[:, 3:]
     low, high = center - radius, center + radius
