@@ -22,8 +22,8 @@ FIGURES = {
     "fuel": measures.plot_fuel,
 }
 PAIR_FIGURES = {
-    "half-space": half_space.plot_half_space,
     "separation": measures.plot_separation,
+    "half-space": half_space.plot_half_space,
 }
 ORBIT_FIGURES = {
     "instants": snapshots.plot_instants,
