@@ -273,7 +273,7 @@ assert measure(ours)[3] == drawn.legs[0].steps
 #
 # | seed 0 | least distance | relaxed | fuel / least for 320 steps | steps |
 # |---|---|---|---|---|
-# | `uiuc_printed` | 0.403 m | 29 | 3.15 | 788 |
+# | `uiuc_printed` | 0.365 m | 19 | 2.58 | 758 |
 # | `uiuc` | 0.5002 m | 0 | 1.05 | 320 |
 
 # %%

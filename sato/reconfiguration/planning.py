@@ -217,7 +217,7 @@ def _priority_class(context: DecisionContext, i: int, previous: Plans) -> float:
     mission, is_over = context.mission, context.memory.clock[i] == context.leg.steps
     if is_over or is_held(context, previous, i):
         return -inf
-    failures = _count_failures(previous, i)
+    failures = 0 if mission.printed else _count_failures(previous, i)
     given = 0.0 if mission.priority is None else mission.priority[i]
     return -given - failures / (failures + 1)
 
