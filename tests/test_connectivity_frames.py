@@ -44,7 +44,7 @@ def mission(seed, camera, **settings):
         clear = np.linalg.norm(position[:, None] - centers, axis=2).min() > 1.5
     return Connectivity(
         start=position, yaw=yaw, yaw_error=rng.uniform(-0.5, 0.5, (6, 6)),
-        stick=WaypointStick(ways), camera=camera,
+        stick=WaypointStick(ways, start_time=0.0), camera=camera,
         obstacles=spheres(np.column_stack([centers, [0.5, 0.5]])),
         **({"duration": 3.0} | settings),
     )  # fmt: skip
@@ -65,7 +65,7 @@ def test_rotating_the_world_rotates_trajectories_and_no_command(seed, turn, esti
         here,
         start=here.initial_position @ about(turn).T + shift,
         yaw=here.yaw + turn,
-        stick=WaypointStick(here.stick.waypoints @ about(turn).T + shift),
+        stick=WaypointStick(here.stick.waypoints @ about(turn).T + shift, start_time=0.0),
         obstacles=spheres(rows),
     )
     frames = fly(here)

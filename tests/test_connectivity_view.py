@@ -76,7 +76,7 @@ def test_robot_behind_another_is_not_seen():
 def test_cameras_tilt_with_accelerating_quadrotors():
     start = np.array([[0.0, 0, 3], [4.5, 0, 6.0]])
     yaw = np.array([0.0, 0.0])
-    away = WaypointStick(np.array([[-40.0, 0, 3]]))
+    away = WaypointStick(np.array([[-40.0, 0, 3]]), start_time=0.0)
     mission = posed(start, yaw, stick=away, camera=AHEAD, duration=0.5, plant=Quadrotor(), **STILL)
     frames = fly(mission)
     level = [interaction_graph(f.position, f.yaw, AHEAD).weights[0, 1] for f in frames]
@@ -93,7 +93,7 @@ def six(**settings):
     start = np.column_stack([4 * np.cos(turn), 4 * np.sin(turn), 3 + 0.3 * np.arange(6)])
     yaw = turn + np.pi + 0.2 * np.cos(np.arange(6))
     believed = yaw - yaw[:, None] + 0.3 * np.sin(np.arange(36)).reshape(6, 6)
-    stick = WaypointStick(np.array([[12.0, 3, 3]]))
+    stick = WaypointStick(np.array([[12.0, 3, 3]]), start_time=0.0)
     return posed(start, yaw, believed, stick, **({"duration": 6.0, "camera": AHEAD} | settings))
 
 
