@@ -80,8 +80,8 @@ assert (cost >= taxicab - 1e-9).all() and (cost <= 1.1 * taxicab).all()
 # %% [markdown]
 # ## Ties
 #
-# Take two agents and two targets, both targets to the upper right of both agents. Whoever goes
-# where, the sum of all $|\Delta x|$ and $|\Delta y|$ is the same.
+# Take two agents and two targets, both targets to the upper right of both agents. Whichever of the
+# two assignments they fly, the sum of all $|\Delta x|$ and $|\Delta y|$ is the same.
 #
 # How common is that? Take eight agents, compute the cost of all $8! = 40{,}320$ assignments, and
 # mark those whose straight paths, flown at the same pace, come closer than $R$.
