@@ -23,9 +23,9 @@ from sato.figures.axes import (
     escape_formulas,
     set_axis_bounds,
 )
-from sato.figures.style import DARK_GRAY, GRAY, LIGHT_GRAY
+from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY
 from sato.recording import list_links
-from sato.scene import ABSENT, ALIVE, LOST, ORBIT, SwarmScene
+from sato.scene import ABSENT, ALIVE, LOST, ORBIT, Coloring, SwarmScene
 
 TRAIL_SHARE, TRAIL_POINTS = 0.08, 40  # of the flight behind a vehicle, and points in it
 TRAIL_COLOR = "#9fb4c2"
@@ -48,7 +48,8 @@ class SwarmFilm:
         self._view = Projection(shown, ("x", "y", "z")[: len(shown)])
         if scene.viewpoint is ORBIT:
             self._view = ORBITAL_PLANE if scene.is_flat else ORBITAL_SPACE
-        self._coloring = next(each for each in scene.colorings if each.categories)
+        alike = Coloring("kind", np.zeros(scene.status.shape), categories=(("vehicle", BLUE),))
+        self._coloring = next((one for one in scene.colorings if one.categories), alike)
         targets = self._view.project(scene.targets.position)
         there = self._view.project(scene.position[scene.status != ABSENT])
         margin = float(scene.diameter.max())

@@ -1,5 +1,7 @@
 """Films of all systems: they show vehicles where they were, with all links."""
 
+from dataclasses import replace
+
 import matplotlib
 import numpy as np
 import pytest
@@ -31,3 +33,12 @@ def test_film_shows_vehicles_and_links_as_flown(name):
     [links] = [each for each in film.axes.collections if each.get_label() == scene.links.name]
     assert len(links.get_segments()) == len(list_links(scene, k)) > 0
     assert film.axes.get_title().startswith(scene.stages[0][1][:3])
+
+
+def test_film_of_a_scene_without_categories_shows_all_vehicles_alike():
+    scene = sato.run("crossing").scene()
+    bare = replace(scene, colorings=tuple(c for c in scene.colorings if not c.categories))
+    with matplotlib.rc_context(STYLE):
+        film = SwarmFilm(bare)
+    shown = [line for line in film.axes.lines if line.get_zorder() == 3]
+    assert sum(len(line.get_xdata()) for line in shown) == 2
