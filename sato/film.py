@@ -24,8 +24,7 @@ from sato.figures.axes import (
     set_axis_bounds,
 )
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY
-from sato.recording import list_links
-from sato.scene import ABSENT, ALIVE, LOST, ORBIT, Coloring, SwarmScene
+from sato.scene import ABSENT, ALIVE, LOST, ORBIT, Coloring, SwarmScene, list_links
 
 TRAIL_SHARE, TRAIL_POINTS = 0.08, 40  # of the flight behind a vehicle, and points in it
 TRAIL_COLOR = "#9fb4c2"

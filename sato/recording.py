@@ -5,13 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
-from numpy import ndarray as Array
 
 from sato.atomic import replace_atomically
 from sato.figures.style import BLUE, GRAY, LIGHT_GRAY
-from sato.network.graph import CommunicationGraph
-from sato.scene import ALIVE, LOST, SwarmScene, pad_to_space
+from sato.scene import ALIVE, LOST, SwarmScene, list_links, pad_to_space
 
 TIMELINE = "time"
 
@@ -66,16 +63,6 @@ def _log_instant(rerun: Any, recording: Any, scene: SwarmScene, k: int) -> None:
             recording.log(
                 f"curves/{series.name.replace(' ', '_')}", rerun.Scalars(float(series.values[k]))
             )
-
-
-def list_links(scene: SwarmScene, k: int) -> Int[Array, "pairs 2"]:
-    """List the pairs of vehicles that are linked at an instant."""
-    links, status = scene.links, scene.status[k]
-    if links.radius is None:
-        [*_, pairs] = [pairs for first, pairs in links.listed if first <= k]
-        return pairs
-    graph = CommunicationGraph.from_positions(scene.position[k], links.radius, status == ALIVE)
-    return np.column_stack(graph.pairs)
 
 
 def _color(name: str) -> tuple[int, int, int]:

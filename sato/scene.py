@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from scipy.spatial import ConvexHull, cKDTree
 
 from sato.figures.style import BLUE, GRAY, GREEN, ORANGE, PURPLE, RED, style_components
+from sato.network.graph import CommunicationGraph
 from sato.obstacles import Obstacle
 
 ABSENT, ALIVE, LOST = 0, 1, 2  # status of a vehicle; a lost one is still there
@@ -137,6 +138,16 @@ class SwarmScene:
         """True where the third axis is not used."""
         size = np.subtract(*self.bounds[::-1])
         return len(size) == 2 or bool(size[2] <= FLAT * size.max())
+
+
+def list_links(scene: SwarmScene, k: int) -> Int[Array, "pairs 2"]:
+    """List the pairs of vehicles that are linked at an instant."""
+    links, status = scene.links, scene.status[k]
+    if links.radius is None:
+        [*_, pairs] = [pairs for first, pairs in links.listed if first <= k]
+        return pairs
+    graph = CommunicationGraph.from_positions(scene.position[k], links.radius, status == ALIVE)
+    return np.column_stack(graph.pairs)
 
 
 def enclose_obstacle(obstacle: Obstacle) -> Hull:

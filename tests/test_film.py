@@ -9,7 +9,7 @@ import pytest
 import sato
 from sato.figures.style import STYLE
 from sato.film import SwarmFilm
-from sato.recording import list_links
+from sato.scene import list_links
 
 FLIGHTS = {
     "formation6": ["leg=[{formation={kind='library', name='swarm6_3d/Slanted Plane'}}]"],

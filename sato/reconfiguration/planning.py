@@ -116,13 +116,11 @@ def divide_horizon(
     mission: Reconfiguration, time: float, T: int, leg: Leg | None = None
 ) -> AvoidanceHorizon:
     """Divide the steps of a horizon so finely that two agents move by about R_col in a piece."""
-    fastest = float(mission.top_speeds.max())
-    speed = fastest if isfinite(fastest) else 0.0
-    S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.least_separation)))
-    if mission.printed:
-        S = 1
-    margin = mission.margin
+    S, margin = 1, mission.margin
     if not mission.printed:
+        fastest = float(mission.top_speeds.max())
+        speed = fastest if isfinite(fastest) else 0.0
+        S = min(MAX_PIECES, max(1, ceil(2 * speed * mission.step / mission.least_separation)))
         margin += _interpolation_margin(mission, leg or mission.legs[0], mission.step / S)
     return AvoidanceHorizon(
         mission.discretize(T, time),
