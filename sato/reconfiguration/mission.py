@@ -15,6 +15,7 @@ from pydantic import Field as Constraint
 from dynamics.plant import Plant
 from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
+from sato.network.link import Link
 from sato.obstacles import AnyObstacle
 from sato.reconfiguration import feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
@@ -222,6 +223,8 @@ class Reconfiguration(PlannedLimits, Mission):
     velocity_tolerance: Annotated[
         Speed, PLAN, Positive, "speed within which a target counts as reached"
     ] = LATER
+
+    link: Annotated[Link, In(""), "messages between agents within hearing"] = Link()
 
     disturbance: Annotated[
         Acceleration, NOISE, Key("acceleration"), NotNegative, "standard deviation, held for a step"

@@ -1,0 +1,81 @@
+"""Radio link between two agents: losses, delays, failures, and the time that a round takes."""
+
+from dataclasses import dataclass
+from math import ceil, log
+from typing import Annotated, Any
+
+from annotated_types import Lt
+
+from dynamics.units import Time
+from sato.scenario.definition import Definition, Key, NotNegative, Positive
+from sato.scenario.errors import InputError
+
+UNHEARD_PROBABILITY = 1e-9  # that all repetitions of a message are lost
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Link(Definition):
+    """Link between two agents within hearing; without loss and instant by default.
+
+    Time is counted in rounds: in each, every agent sends one message, which its neighbors have in
+    the next round, or as many rounds later as it is late.
+    """
+
+    period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
+    late: Annotated[int, NotNegative, "rounds by which a message comes late, at most"] = 0
+    loss_probability: Annotated[
+        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
+    ] = 0.0
+    outage: Annotated[Time, NotNegative, "longest time for which a link fails"] = 0.0
+    outage_share: Annotated[
+        float, NotNegative, Lt(1), "share of the time in which a link fails"
+    ] = 0.0
+    skew: Annotated[Time, NotNegative, "largest difference between two clocks"] = 0.0
+    round: Annotated[Time, NotNegative, "time that a round of messages takes"] = 0.0
+
+    def check(self) -> None:
+        """Refuse failures without a length, or without a time that rounds take.
+
+        Raises:
+            InputError: There are; says what would do.
+        """
+        if (self.outage > 0) != (self.outage_share > 0):
+            lacks, has = (
+                ("outage_share", "outage_s") if self.outage else ("outage_s", "outage_share")
+            )
+            raise InputError(lacks, f"is 0, and {has} is not: give both, or neither")
+        if self.outage > 0 and self.round == 0:
+            reason = f"is 0, and failures of {self.outage:g} s are counted in rounds"
+            raise InputError("round_s", f"{reason}; a time that rounds take would do")
+        if self.outage_share > 0 and self.mean_up_rounds < 1:
+            mean, share = (self.outage_rounds + 1) / 2, self.outage_share
+            least = ceil(2 * share / (1 - share)) * self.round
+            raise InputError(
+                "outage_share",
+                f"{share:g} with failures of {mean:g} rounds leaves less than a round between two; "
+                f"at most {mean / (mean + 1):.3g}, or outage_s = {least:.3g} would do",
+            )
+
+    @property
+    def is_ideal(self) -> bool:
+        """True where every message arrives at once."""
+        faults: tuple[Any, ...] = self.late, self.loss_probability, self.outage, self.skew
+        return not any((*faults, self.round))
+
+    @property
+    def outage_rounds(self) -> int:
+        """Rounds for which a link fails at most."""
+        return ceil(self.outage / self.round - 1e-9) if self.outage else 0
+
+    @property
+    def mean_up_rounds(self) -> float:
+        """Mean number of rounds between two failures."""
+        down = (self.outage_rounds + 1) / 2
+        return down * (1 - self.outage_share) / self.outage_share
+
+    @property
+    def silent_rounds(self) -> int:
+        """Rounds within which an agent within hearing is heard, but for one case in 10⁹."""
+        loss = self.loss_probability
+        repeats = max(1, ceil(log(UNHEARD_PROBABILITY) / log(loss))) if loss else 1
+        return repeats + self.late + self.outage_rounds

@@ -1,0 +1,56 @@
+"""Synchronous rounds over a network that loses and delays messages [Awerbuch1985].
+
+What agents decide together is defined by synchronous rounds: in each, an agent acts on what all of
+its neighbors sent in the round before. Where messages are lost or late, an agent repeats its last
+messages until its neighbors have gone on, and acts in a round once it has all that were sent in the
+round before. So it computes the same, only later. Every message says of which round it is, so that
+repeated ones do no harm. One that waits for an agent that is lost waits until the time of the
+decision is over, and keeps what it had.
+"""
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray as Array
+
+from sato.network.channel import NEVER, Channel
+
+Rounds = Int[Array, " agents"]
+
+
+class Synchronizer:
+    """Rounds of the network in which agents get through synchronous rounds."""
+
+    def __init__(self, channel: Channel, stops: Rounds) -> None:
+        """Take in when messages arrive that are repeated.
+
+        Args:
+            channel: Arrival of messages.
+            stops: Round of the network in which each agent falls silent, NEVER if it does not.
+        """
+        sender, arrival = channel.sender, channel.arrival
+        rounds = np.arange(arrival.shape[1])
+        arrival = np.where(rounds < stops[sender][:, None], arrival, NEVER)
+        ahead = np.minimum.accumulate(arrival[:, ::-1], axis=1)[:, ::-1]
+        self._heard = np.pad(ahead, ((0, 0), (0, 1)), constant_values=NEVER)
+        self._edges, self._last = np.arange(len(sender)), len(rounds)
+        self._channel, self._stops = channel, np.minimum(stops, self._last)
+
+    def hear(self, sent: Rounds) -> Int[Array, " edges"]:
+        """Return when each receiver has what its neighbor repeats from a round on."""
+        first = np.minimum(sent, self._last)[self._channel.sender]
+        return np.asarray(self._heard[self._edges, first])
+
+    def advance(self, entered: Rounds, rounds: Int[Array, " agents"]) -> Rounds:
+        """Return when each agent gets through so many synchronous rounds; NEVER if it does not.
+
+        Args:
+            entered: Round of the network in which each enters the first of them.
+            rounds: Number of synchronous rounds, the same for all of a component.
+        """
+        now = entered.copy()
+        for count in range(int(rounds.max(initial=0))):
+            after = now + 1
+            np.maximum.at(after, self._channel.receiver, self.hear(now))
+            after = np.where(after < self._stops, after, NEVER)
+            now = np.where(count < rounds, after, now)
+        return now
