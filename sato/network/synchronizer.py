@@ -33,7 +33,13 @@ class Synchronizer:
         ahead = np.minimum.accumulate(arrival[:, ::-1], axis=1)[:, ::-1]
         self._heard = np.pad(ahead, ((0, 0), (0, 1)), constant_values=NEVER)
         self._edges, self._last = np.arange(len(sender)), len(rounds)
+        self._place = np.full((len(stops), len(stops)), -1)
+        self._place[sender, channel.receiver] = self._edges
         self._channel, self._stops = channel, np.minimum(stops, self._last)
+
+    def find_edges(self, sender: Int[Array, " k"], receiver: Int[Array, " k"]) -> Int[Array, " k"]:
+        """Return the places of edges in the list."""
+        return np.asarray(self._place[sender, receiver])
 
     def hear(self, sent: Rounds) -> Int[Array, " edges"]:
         """Return when each receiver has what its neighbor repeats from a round on."""

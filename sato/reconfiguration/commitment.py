@@ -11,6 +11,7 @@ not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -37,9 +38,14 @@ from sato.reconfiguration.stopping import (
 )
 from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
+NOBODY = np.zeros(0, dtype=int)
+
 
 def choose_offers(
-    offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
+    offers: Offers,
+    graph: CommunicationGraph,
+    rank: Int[Array, " agents"],
+    is_confirmed: bool = False,
 ) -> Int[Array, " agents"]:
     """Let all agents agree on offers that are clear of each other.
 
@@ -47,18 +53,32 @@ def choose_offers(
     takes its next choice, or that of lower rank where both do as long. So at the end all are clear
     that were not committed already.
     The batched equivalent of `agent_stages.Choosing`.
+
+    Args:
+        offers: Offers of all.
+        graph: Communication graph.
+        rank: Place of each in the order of priorities.
+        is_confirmed: True where one of higher rank also keeps clear of what one of lower rank has
+            committed to, and may go on flying.
     """
     i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
+    first, second = np.where(rank[i] < rank[j], (i, j), (j, i))
+    is_free = np.ones(len(i), dtype=bool)
     while True:
         is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
         met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
-        if not len(met):
-            return np.asarray(choice)
         longer = choice[j[met]] - choice[i[met]]
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
         moved = np.unique(np.where(is_lower, i[met], j[met]))
+        if is_confirmed:
+            some = first[changed], second[changed], radius[changed]
+            is_free[changed] = are_clear_of_held(offers, choice, *some)
+            blocked = first[~is_free & (choice[first] < last)]
+            moved = np.union1d(moved, blocked)
+        if not len(moved):
+            return np.asarray(choice)
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
         changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
@@ -95,30 +115,51 @@ def are_clear(
     return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, i, j)
 
 
+def are_clear_of_held(
+    offers: Offers,
+    choice: Int[Array, " agents"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> Bool[Array, " pairs"]:
+    """Find the pairs in which what i chooses is clear of what j has committed to."""
+    count = len(choice)
+    held = offers.paths[np.arange(count), np.full(count, offers.last)]
+    paths = np.concatenate([offers.paths[np.arange(count), choice], held])
+    return are_paths_separated(paths, i, count + j, radius)
+
+
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:
     """Return the next offer that is allowed."""
     return choice + 1 + int(is_allowed[choice + 1 :].argmax())
 
 
+class CommitmentChoice(NamedTuple):
+    """Trajectories to which agents commit."""
+
+    committed: Commitments
+    plans: Plans  # without a target where they are not flown
+    cautious: list[int]  # agents that could not commit to their plans
+    # Pairs of neighbors in which the first commits only once it knows that the second does.
+    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+
+
 def commit(
-    context: DecisionContext, plans: Plans, committed: Commitments
-) -> tuple[Commitments, Plans, list[int]]:
+    context: DecisionContext, plans: Plans, committed: Commitments, is_confirmed: bool = False
+) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
     Args:
         context: States, graph and time of the agents that decide.
         plans: Their plans.
         committed: Committed trajectories.
-
-    Returns:
-        Committed trajectories; the plans, without a target where they are not flown; and the
-        agents that could not commit to their plans.
+        is_confirmed: True where agents commit once all that they could meet have confirmed it.
     """
     if not plans:
-        return {}, plans, []
+        return CommitmentChoice({}, plans, [])
     offers = make_offers(context, plans, committed)
     rank = rank_of(offers, plans)
-    choice = choose_offers(offers, context.graph, rank)
+    choice = choose_offers(offers, context.graph, rank, is_confirmed)
     rows = np.arange(len(plans))
     u, paths = offers.u[rows, choice], offers.paths[rows, choice]
     adjacent = context.graph.adjacency[np.ix_(offers.agents, offers.agents)]
@@ -127,13 +168,18 @@ def commit(
     order = [a for a in np.argsort(rank).tolist() if a not in kept]
     cautious = [a for a in order if choice[a] == offers.last]
     flown = np.array(offers.plan_steps)[choice]
+    held = offers.paths[rows, np.full(len(rows), offers.last)] if is_confirmed else paths
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
         T = int(offers.steps[component == component[a]].max())
-        clearance = (offers.clearance[a] + offers.clearance[near]) / 2
         horizon = stopping_horizon(context.mission, T)
         pieces = len(horizon.fine_model)
-        others = paths[near, :pieces]
+        others, beside = paths[near, :pieces], offers.clearance[near]
+        if is_confirmed:
+            below = near & (rank > rank[a])
+            others = np.concatenate([others, held[below, :pieces]])
+            beside = np.concatenate([beside, offers.clearance[below]])
+        clearance = (offers.clearance[a] + beside) / 2
         found = improve(context, i, plans[i], horizon, paths[a, :pieces], others, clearance)
         if found is not None:
             u[a, :T], paths[a, :pieces], flown[a] = found
@@ -146,7 +192,21 @@ def commit(
     done |= {i: Commitment(context.instant, own) for i, own in evaded.items()}
     followed |= {i: leave(context, plans[i]) for i in evaded}
     left = {int(offers.agents[a]) for a in cautious if flown[a] == 0}.union(evaded)
-    return done, followed, sorted(i for i in left if leaves_plan(plans[i], followed[i]))
+    left = {i for i in left if leaves_plan(plans[i], followed[i])}
+    waits = find_waits(offers, context.graph, paths) if is_confirmed else (NOBODY, NOBODY)
+    return CommitmentChoice(done, followed, sorted(left), waits)
+
+
+def find_waits(
+    offers: Offers, graph: CommunicationGraph, paths: Float[Array, "agents pieces 4 d"]
+) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
+    i, j = graph.pairs_among(offers.agents)
+    i, j, count = np.append(i, j), np.append(j, i), len(paths)
+    radius = (offers.clearance[i] + offers.clearance[j]) / 2
+    held = offers.paths[np.arange(count), np.full(count, offers.last)]
+    meets = ~are_paths_separated(np.concatenate([paths, held]), i, count + j, radius)
+    return offers.agents[i[meets]], offers.agents[j[meets]]
 
 
 def _list_evasions(
@@ -170,7 +230,10 @@ def _list_evasions(
             own = i, plans[i].priority, horizon, u[a, :T], paths[a, :pieces], kept
             reports.append(make_report(context, *own))
         after = find_evasions(mission, horizon, reports)
-        found |= {i: report.u for i, report in after.items()}
+        for a, i in zip(rows, offers.agents[rows].tolist(), strict=True):
+            if i in after:
+                found[i], paths[a, :pieces] = after[i].u, after[i].path
+                paths[a, pieces:] = after[i].path[-1, -1]
     return found
 
 

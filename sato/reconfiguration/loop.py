@@ -8,15 +8,17 @@ from numpy import ndarray as Array
 
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
+from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets, claim_targets
 from sato.reconfiguration.clock import announce_clock
-from sato.reconfiguration.commitment import commit
+from sato.reconfiguration.commitment import CommitmentChoice, commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.network_decision import Negotiations, Outcome, steps_to_rounds
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.plan import (
     Plans,
@@ -24,11 +26,19 @@ from sato.reconfiguration.plan import (
     compute_spent,
     give_up_missed,
     has_changed_network,
+    have_decided_apart,
     is_auction_due,
     is_planning_due,
     remaining_cost,
 )
-from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
+from sato.reconfiguration.stopping import (
+    Commitment,
+    Commitments,
+    committed_controls,
+    controls_at,
+    held_controls,
+    pad_controls,
+)
 from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
 
@@ -64,6 +74,11 @@ class _Flight:
         self.committed: Commitments = find_first_commitments(mission)
         self.surroundings = find_surroundings(mission)
         self.waiting: list[int] = []  # agents that join as soon as there is room
+        self.called: list[int] = []  # agents that call for an auction when they decide next
+        self.pending: Negotiations | None = None  # decisions that are under way
+        self.lost_at: dict[int, int] = {}  # instant at which each agent was lost
+        self.link_rng = rng.spawn(1)[0]  # draws losses and delays of messages, and clocks
+        self.clock_offset = self.link_rng.uniform(0.0, mission.link.skew, len(m))  # [s]
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
@@ -79,8 +94,9 @@ class _Flight:
         self.left_out: set[int] = set()  # targets that some agents know to be blocked
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
-            joined = self._apply_losses_and_joins(k)
-            if k > 0 and self._have_arrived(k).all():
+            joined = self._admit_joins(k)
+            self._apply_losses(k)
+            if self._is_leg_over(k):
                 break
             if k == MAX_LEG_FACTOR * steps:
                 what = f"the leg is given up after {MAX_LEG_FACTOR} times its steps"
@@ -99,8 +115,14 @@ class _Flight:
             self.plans = closed
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
-            for deciding, bids in self._schedule_decisions(context, [*joined, *alarmed]):
-                self._decide(context._replace(graph=deciding, memory=self.memory), bids)
+            self.called += [*joined, *alarmed]
+            if not mission.lag_steps:
+                for deciding, bids in self._schedule_decisions(context, self.called):
+                    own = context._replace(graph=deciding, memory=self.memory)
+                    self._take_up(self._decide(own, bids))
+                self.called = []
+            elif k % mission.replan_steps == 0:
+                self._begin_decisions(context)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
             control = add_feedback(mission, planned, known, self.estimate.mean)
             applied = disturb_control(mission, control, self.rng)
@@ -113,6 +135,12 @@ class _Flight:
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
+
+    def _is_leg_over(self, k: int) -> bool:
+        """Tell whether all have arrived; over a network, whether they know it of each other."""
+        if self.mission.lag_steps:
+            return self._end_decisions(k)
+        return k > 0 and bool(self._have_arrived(k).all())
 
     def _look_around(self) -> list[int]:
         """Let agents see what is near; return those that see something new."""
@@ -150,12 +178,15 @@ class _Flight:
         position = self.x[:, : self.mission.axes]
         return CommunicationGraph.from_positions(position, self.mission.comm_radius, self.alive)
 
-    def _apply_losses_and_joins(self, k: int) -> list[int]:
-        """Return the agents that join at a step of the leg."""
-        self.alive, waits = self.alive.copy(), self.mission.waits
-        for agents, at_step in self.mission.joining(self.leg_index):
+    def _admit_joins(self, k: int) -> list[int]:
+        """Return the agents that join at a step of the leg: over a network, when others decide."""
+        mission = self.mission
+        for agents, at_step in mission.joining(self.leg_index):
             self.waiting += agents if at_step == k else []
-        joined = self._traffic.admit(self.waiting)
+        if mission.lag_steps and k % mission.replan_steps:
+            return []
+        joined, waits = self._traffic.admit(self.waiting), mission.waits
+        self.alive = self.alive.copy()
         self.alive[joined] = True
         if joined:  # the deadline of the leg is that of all
             clock = self.memory.clock.copy()
@@ -166,10 +197,16 @@ class _Flight:
         for kind, those in (("join", joined), ("refused", refused)):
             if those:
                 self.events.append({"kind": kind, "agents": those})
+        return joined
+
+    def _apply_losses(self, k: int) -> None:
+        """Lose the agents that are lost at a step of the leg."""
         for loss in self.leg.losses:
             if loss.at_step == k:
                 lost = draw_losses(loss, self.x[:, : self.mission.axes], self.alive, self.rng)
+                self.alive = self.alive.copy()
                 self.alive[lost] = False
+                self.lost_at |= dict.fromkeys(lost, self.step_index)
                 self.memory = replace(
                     self.memory, target_index=np.where(self.alive, self.memory.target_index, -1)
                 )
@@ -179,7 +216,6 @@ class _Flight:
                     self.surroundings = self.surroundings.with_lost(gone, self.x[gone])
                     event |= {"body": "coast"}
                 self.events.append(event)
-        return joined
 
     def _schedule_decisions(
         self, context: state.DecisionContext, called: list[int]
@@ -201,47 +237,127 @@ class _Flight:
         if bids_on_change(self.mission):
             together = graph.component[:, None] == graph.component
             is_new = has_changed_network(self.memory.claim_step, together)
+            is_new |= have_decided_apart(self.memory.claim_step, graph)
         is_due = graph.component_any(is_planning_due(context, self.plans) | is_new)
         is_due |= is_central and bool(is_due[graph.alive].any())
         bids = graph.component_any(is_auction_due(context, self.plans) | is_new)
         parts = (graph.alive & is_due & bids, True), (graph.alive & is_due & ~bids, False)
         return decisions + [(graph.subgraph(some), bid) for some, bid in parts if some.any()]
 
-    def _decide(self, context: state.DecisionContext, bids: bool) -> None:
+    def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
+        memory, blocked, is_confirmed = context.memory, None, self.mission.lag_steps > 0
+        was_reset = np.zeros(len(self.x), dtype=bool)
+        heard = memory.clock
         if bids:
             cost = remaining_cost(self.plans, context)
             decision = assign_targets(context, cost, self._hear_clocks(context))
             memory, solves = decision.memory, decision.solve_count
-            moved = self.alive & (memory.target_index != self.memory.target_index)
-            self.memory = memory
-            if decision.was_reset.any():
-                self._note("reset", decision.was_reset)
-            self._note_blocked(decision.blocked)
-            if moved.any():
-                self._note("assignment", moved, target=memory.target_index[moved].tolist())
+            was_reset, blocked = decision.was_reset, decision.blocked
         elif bids_on_change(self.mission):
-            self.memory = claim_targets(context, context.memory)
-        heard, context = context.memory.clock, context._replace(memory=self.memory)
+            memory = claim_targets(context, memory)
+        context = context._replace(memory=memory)
         planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
-        cautious: list[int] = []
         if self.mission.printed:
             now = context.instant
             committed = {i: Commitment(now, plan.trajectory.u) for i, plan in planned.items()}
+            found = CommitmentChoice(committed, planned, [])
         elif self.mission.is_point_mass:
-            committed, planned, cautious = commit(context, planned, self.committed)
+            found = commit(context, planned, self.committed, is_confirmed)
         else:
-            held = self.committed, self.plans, heard
-            committed, planned, cautious = commit_in_orbit(context, planned, *held)
-        self.plans, self.committed = self.plans | planned, self.committed | committed
-        self.events += events
-        if cautious:
-            self.events.append({"kind": "cautious", "agents": cautious})
+            found = commit_in_orbit(context, planned, self.committed, self.plans, heard)
+        if found.cautious:
+            events.append({"kind": "cautious", "agents": found.cautious})
         rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
         if rejected.any():
-            reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
-            more = {"programs": int(rejected.sum()), "reasons": sorted(reasons)}
-            self._note("fallback", rejected > 0, **more)
+            which = np.flatnonzero(rejected).tolist()
+            reasons = sorted({self.solvers[i].last_rejection for i in which})
+            more = {"programs": int(rejected.sum()), "reasons": reasons}
+            events.append({"kind": "fallback", "agents": which, **more})
+        own = found.plans, found.committed, events, was_reset, blocked
+        return Outcome(context.graph.alive, memory, *own, waits=found.waits)
+
+    def _take_up(self, outcome: Outcome) -> None:
+        """Let agents take up what they have decided."""
+        before, self.memory = self.memory, self.memory.with_rows(outcome.memory, outcome.agents)
+        moved = self.alive & (before.target_index != self.memory.target_index)
+        if outcome.was_reset.any():
+            self._note("reset", outcome.was_reset)
+        self._note_blocked(outcome.blocked)
+        if moved.any():
+            self._note("assignment", moved, target=self.memory.target_index[moved].tolist())
+        self.plans, self.committed = self.plans | outcome.plans, self.committed | outcome.committed
+        self.events += outcome.events
+
+    def _begin_decisions(self, context: state.DecisionContext) -> None:
+        """Begin to decide what is flown from the next decision on."""
+        mission = self.mission
+        self._stop_uncommitted(context)
+        later = self._foresee(context)
+        outcomes = []
+        for deciding, bids in self._schedule_decisions(later, self.called):
+            outcomes.append(self._decide(later._replace(graph=deciding, memory=later.memory), bids))
+        self.called, graph = [], context.graph
+        enters = steps_to_rounds(mission, self.clock_offset / mission.step)
+        rounds = int(steps_to_rounds(mission, np.array([mission.lag_steps]))[0])
+        channel = Channel.draw(mission.link, graph, rounds + int(enters.max()), self.link_rng)
+        have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
+        self.pending = Negotiations(outcomes, graph, channel, enters, rounds, have_arrived)
+
+    def _stop_uncommitted(self, context: state.DecisionContext) -> None:
+        """Let agents stop that have not committed to anything."""
+        agents = np.array([i for i in np.flatnonzero(self.alive) if i not in self.committed])
+        if not len(agents):
+            return
+        velocity = context.state[agents, self.mission.axes :]
+        u, length = held_controls(self.mission, agents, velocity, {}, self.step_index)
+        for i, own, steps in zip(agents.tolist(), u, length.tolist(), strict=True):
+            self.committed[i] = Commitment(self.step_index, own[:steps])
+
+    def _foresee(self, context: state.DecisionContext) -> state.DecisionContext:
+        """Return the context in which agents find themselves when they take up a decision."""
+        mission, lag = self.mission, self.mission.lag_steps
+        each = range(len(self.x))
+        held = [committed_controls(mission, i, self.committed, self.step_index)[:lag] for i in each]
+        model = mission.discretize(lag, context.time)
+        x = model.simulate(context.state, pad_controls(held, lag))[:, -1]
+        around, adrift = context.surroundings, self.x
+        if around is not None:
+            for k in range(lag):
+                free = np.zeros((len(self.x), 1, mission.axes))
+                adrift = model[k : k + 1].simulate(adrift, free)[:, -1]
+                around = around.after(mission, adrift)
+        clock = np.where(self._has_begun, self.memory.clock + lag, self.memory.clock)
+        memory = replace(self.memory, clock=np.minimum(clock, self.leg.steps))
+        time, step_index = context.time + lag * mission.step, context.step_index + lag
+        return context._replace(
+            state=x, memory=memory, step_index=step_index, time=time, surroundings=around
+        )
+
+    @property
+    def _has_begun(self) -> Array:
+        """True for agents whose clocks run: from their first plan in a leg on, over a network."""
+        has_plan = np.isin(np.arange(len(self.x)), list(self.plans))
+        return np.asarray(has_plan | (self.memory.clock > 0) | (self.mission.lag_steps == 0))
+
+    def _end_decisions(self, k: int) -> bool:
+        """Let agents that got through take up what they decided; tell whether the leg is over."""
+        mission, pending = self.mission, self.pending
+        if pending is None or k % mission.replan_steps:
+            return False
+        self.pending, stops = None, np.full(len(self.x), NEVER)
+        begun = self.step_index - mission.lag_steps
+        for i, instant in self.lost_at.items():
+            silent = steps_to_rounds(mission, np.array([max(0, instant - begun)]))[0]
+            stops[i] = pending.enters[i] + silent
+        found = pending.finish(mission, stops)
+        for outcome, through in zip(pending.outcomes, found.through, strict=True):
+            through = through & self.alive
+            if not through[outcome.agents & self.alive].all():
+                late = outcome.agents & self.alive & ~through
+                self._note("unconfirmed", late)
+            self._take_up(outcome.of(through))
+        return pending.have_arrived and found.is_census_complete
 
     def _note_blocked(self, blocked: Array | None) -> None:
         """Note the targets that are left out from now on."""
@@ -271,7 +387,8 @@ class _Flight:
         self.x = np.where(moves[:, None], flown[1], self.x)
         self.surroundings = around and around.after(mission, self.x)
         self.spent = self.spent + compute_spent(mission, commanded)
-        later = np.where(self.alive, np.minimum(clock + 1, steps), 0)
+        later = np.where(self._has_begun, np.minimum(clock + 1, steps), clock)
+        later = np.where(self.alive, later, 0)
         arrived = self.alive & (later == steps) & (clock < steps)
         if arrived.any():
             self._note("arrival", arrived)

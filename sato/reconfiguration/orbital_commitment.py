@@ -20,6 +20,7 @@ from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.commitment import (
+    CommitmentChoice,
     are_clear,
     choose_offers,
     leave,
@@ -178,7 +179,7 @@ def commit_in_orbit(
     committed: Commitments,
     previous: Plans,
     clocks: Int[Array, " agents"],
-) -> tuple[Commitments, Plans, list[int]]:
+) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
     Args:
@@ -187,10 +188,6 @@ def commit_in_orbit(
         committed: Committed trajectories.
         previous: Plans before these.
         clocks: Clock of each agent before it decided.
-
-    Returns:
-        Committed trajectories, the plans that are flown, and the agents that could not commit to
-        theirs.
     """
     done: Commitments = {}
     flown = dict(plans)
@@ -220,7 +217,7 @@ def commit_in_orbit(
     flown |= {i: keep_previous(plans[i], previous.get(i)) for i in kept}
     flown |= {i: leave(context, plans[i]) for i in evading}
     left = {i for i in kept if leaves_plan(plans[i])}.union(evading)
-    return done, flown, sorted(left)
+    return CommitmentChoice(done, flown, sorted(left))
 
 
 def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:

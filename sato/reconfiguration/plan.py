@@ -8,6 +8,7 @@ from numpy import ndarray as Array
 
 from dynamics.model import ControlSamples
 from problems.transfer import Trajectory, compute_energy, compute_fuel
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import DecisionContext
 from sato.scp import FEASIBILITY_TOLERANCE
@@ -81,6 +82,18 @@ def has_changed_network(
     own = claim_step.diagonal()[:, None]
     was_beside = claim_step == own  # all of a network claim in the same step
     return np.asarray((own[:, 0] >= 0) & (was_beside != is_beside).any(axis=1))
+
+
+def have_decided_apart(
+    claim_step: Int[Array, "agents agents"], graph: CommunicationGraph
+) -> Bool[Array, " agents"]:
+    """Find the agents that did not decide together last with all of their component.
+
+    Over a network, some may have got through a decision, and others not.
+    """
+    own = np.asarray(claim_step.diagonal())
+    latest, first = graph.component_max(own), -graph.component_max(-own)
+    return np.asarray(graph.alive & (latest != first))
 
 
 def _is_clear(mission: Reconfiguration, plan: Plan, k: int, left: int) -> bool:

@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from problems.limit import Limit
+from sato.network.link import Link
 from sato.reconfiguration.tracking import (
     MAX_RESERVE,
     RESERVE_SIGMAS,
@@ -33,6 +34,7 @@ class PlannedLimits(Vehicles):
     obstacles: tuple[Any, ...]
     replan_steps: int
     margin: Any
+    link: Link
     allow_undetectable: bool
     printed: bool
     disturbance: float
@@ -40,6 +42,11 @@ class PlannedLimits(Vehicles):
     velocity_noise: float
     thrust_error: float
     pointing_error: float
+
+    @property
+    def lag_steps(self) -> int:
+        """Steps from the beginning of a decision until what is decided is flown."""
+        return self.replan_steps if self.link.round > 0 else 0
 
     @property
     def sight(self) -> float:

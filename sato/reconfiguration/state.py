@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
@@ -50,6 +50,14 @@ class AgentMemory:
         none, never = np.full(N, -1), np.full((N, N), -1)
         zero = np.zeros(N, dtype=int)
         return cls(none, target_count, zero, zero, never, never)
+
+    def with_rows(self, other: "AgentMemory", rows: Bool[Array, " agents"]) -> "AgentMemory":
+        """Return the same with the memory of some agents replaced."""
+        parts = {}
+        for name, own in vars(self).items():
+            parts[name] = own.copy()
+            parts[name][rows] = getattr(other, name)[rows]
+        return AgentMemory(**parts)
 
 
 def begin_memory(

@@ -1,0 +1,130 @@
+"""Decisions over a network that takes time: who gets through, and takes up what it has chosen.
+
+The outcome of a decision is that of synchronous rounds among all that hear each other when it
+begins. An agent that gets through them before the next decision begins takes it up, if what it has
+chosen is clear of all that its neighbors may go on flying. It says so, and those that wait for it
+may follow. All others keep what they had. No agreement on the last message is needed.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray as Array
+
+from sato.network.channel import NEVER, Channel
+from sato.network.graph import CommunicationGraph
+from sato.network.synchronizer import Synchronizer
+from sato.reconfiguration.commitment import NOBODY
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.plan import Plans
+from sato.reconfiguration.state import AgentMemory, Event
+from sato.reconfiguration.stopping import Commitments
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What agents have decided."""
+
+    agents: Bool[Array, " agents"]  # that have decided
+    memory: AgentMemory
+    plans: Plans
+    committed: Commitments
+    events: list[Event]
+    was_reset: Bool[Array, " agents"]  # the clock was set back
+    blocked: Bool[Array, "agents targets"] | None = None  # targets that were left out
+    rounds: int = 0  # synchronous ones, after the census
+    # Pairs of which the first commits only once it knows that the second does.
+    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+
+    def of(self, some: Bool[Array, " agents"]) -> "Outcome":
+        """Return what some of the agents have decided, with the events that are theirs."""
+        events = []
+        for event in self.events:
+            theirs = [i for i in event["agents"] if some[i]]
+            if theirs or not event["agents"]:
+                events.append({**event, "agents": theirs})
+        return replace(
+            self,
+            agents=self.agents & some,
+            plans={i: plan for i, plan in self.plans.items() if some[i]},
+            committed={i: own for i, own in self.committed.items() if some[i]},
+            events=events,
+            was_reset=self.was_reset & some,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Negotiations:
+    """Decisions of an instant, while they are under way."""
+
+    outcomes: list[Outcome]
+    graph: CommunicationGraph  # of all, when they began
+    channel: Channel
+    enters: Int[Array, " agents"]  # rounds of the network in which they begin, by their clocks
+    rounds: int  # of the network, until each has to have ended
+    have_arrived: bool  # all agents, when it began
+
+    def finish(self, mission: Reconfiguration, stops: Int[Array, " agents"]) -> "Finished":
+        """Find out who gets through.
+
+        Args:
+            mission: Its link.
+            stops: Round in which each agent falls silent, NEVER if it does not.
+        """
+        ends = np.minimum(stops, self.enters + self.rounds)
+        synchronizer = Synchronizer(self.channel, ends)
+        alive, none = self.graph.alive, np.zeros(len(ends), dtype=int)
+        discovered = synchronizer.advance(self.enters, none + 1)
+        begun = np.maximum(discovered, self.enters + mission.link.silent_rounds)
+        begun = np.where(alive & (begun < ends), begun, NEVER)
+        counted = synchronizer.advance(begun, np.where(alive, census_rounds(self.graph) - 1, 0))
+        through = []
+        for outcome in self.outcomes:
+            deciding = outcome.agents
+            chosen = synchronizer.advance(counted, np.where(deciding, outcome.rounds, 0))
+            chosen[~deciding] = NEVER
+            through.append(confirm(synchronizer, chosen, outcome.waits) < ends)
+        has_heard = (counted < ends) | (stops < NEVER) | ~alive
+        return Finished(through, bool(has_heard.all()))
+
+
+@dataclass(frozen=True, eq=False)
+class Finished:
+    """How decisions ended."""
+
+    through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
+    is_census_complete: bool  # all agents have heard of all
+
+
+def census_rounds(graph: CommunicationGraph) -> Int[Array, " agents"]:
+    """Return the synchronous rounds in which agents learn who is in their component."""
+    return 3 * graph.diameter + 1
+
+
+def confirm(
+    synchronizer: Synchronizer,
+    chosen: Int[Array, " agents"],
+    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]],
+) -> Int[Array, " agents"]:
+    """Return the round in which each agent says that it commits; NEVER if it does not.
+
+    Args:
+        synchronizer: Arrival of messages.
+        chosen: Round in which each has chosen.
+        waits: Pairs of which the first waits until it hears that of the second.
+    """
+    first, second = waits
+    promised, edge = chosen.copy(), synchronizer.find_edges(second, first)
+    promised[first] = NEVER
+    while True:
+        after = chosen.copy()
+        np.maximum.at(after, first, synchronizer.hear(promised)[edge])
+        if np.array_equal(after, promised):
+            return after
+        promised = after
+
+
+def steps_to_rounds(mission: Reconfiguration, steps: Int[Array, " k"]) -> Int[Array, " k"]:
+    """Return the rounds of the network in some control steps."""
+    return np.floor(steps * mission.step / mission.link.round + 1e-9).astype(int)
