@@ -1,7 +1,5 @@
 """Messages between neighbors in rounds of which some are lost or late, drawn beforehand."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray as Array
@@ -10,68 +8,82 @@ from sato.network.graph import CommunicationGraph
 from sato.network.link import Link
 
 NEVER = 2**30  # round of what does not happen
+BLOCK = 256  # rounds that are drawn at once
 
 
-@dataclass(frozen=True, eq=False)
+class Outages:
+    """Outages of several links, round by round.
+
+    An outage takes 1 to `outage_rounds` rounds, all equally likely; the times between two are
+    geometrically distributed.
+    """
+
+    def __init__(self, link: Link, count: int, rng: np.random.Generator) -> None:
+        """Draw which links are down at first.
+
+        Args:
+            link: Lengths and shares.
+            count: Number of links.
+            rng: Generator, also of all later rounds.
+        """
+        self._rng, self._most, self._left = rng, link.outage_rounds, np.zeros(count, dtype=int)
+        if link.outage_share:
+            self._start = 1 / link.mean_up_rounds
+            # At a random time a longer outage is more likely to be met.
+            lengths = np.arange(1, self._most + 1)
+            first = rng.choice(lengths, count, p=lengths / lengths.sum())
+            is_down = rng.random(count) < link.outage_share
+            self._left = np.where(is_down, rng.integers(1, first + 1), 0)
+
+    def advance(self) -> Bool[Array, " links"]:
+        """Return which links are down in this round, and go on to the next."""
+        is_down = self._left > 0
+        if self._most:
+            begins = ~is_down & (self._rng.random(len(is_down)) < self._start)
+            length = self._rng.integers(1, self._most + 1, len(is_down))
+            self._left = np.where(begins, length, np.maximum(self._left - 1, 0))
+        return is_down
+
+
 class Channel:
     """Rounds in which the messages of neighbors arrive.
 
     Edges are listed by sender, then receiver. A message that is sent in round s is heard before
     the receiver acts in round `arrival[edge, s]`, s + 1 at the soonest; NEVER where it is lost.
+    Losses and delays are of each message and receiver; outages of a link, in both directions.
     """
 
-    sender: Int[Array, " edges"]
-    receiver: Int[Array, " edges"]
-    arrival: Int[Array, "edges rounds"]
-
-    @classmethod
-    def draw(
-        cls, link: Link, graph: CommunicationGraph, rounds: int, rng: np.random.Generator
-    ) -> "Channel":
-        """Draw losses, delays and failures.
-
-        A link fails in both directions, for 1 to `outage_rounds` rounds, all equally likely.
-        Between two failures are geometrically distributed times. Losses and delays are of each
-        message and receiver.
+    def __init__(self, link: Link, graph: CommunicationGraph, rng: np.random.Generator) -> None:
+        """Prepare to draw, with nothing drawn yet.
 
         Args:
             link: Probabilities.
             graph: Agents that hear each other.
-            rounds: Number of rounds.
-            rng: Generator.
+            rng: Generator of this channel alone.
         """
-        sender, receiver = np.nonzero(graph.adjacency)
-        shape = len(sender), rounds
-        arrival = np.broadcast_to(np.arange(1, rounds + 1, dtype=np.int32), shape).copy()
-        if link.late:
-            arrival += rng.integers(0, link.late + 1, shape, dtype=np.int32)
-        if link.loss_probability:
-            arrival[rng.random(shape) < link.loss_probability] = NEVER
-        if link.outage_share:
-            i, j = graph.pairs
-            place = np.full(graph.adjacency.shape, -1)
-            place[i, j] = place[j, i] = np.arange(len(i))
-            arrival[_draw_failures(link, len(i), rounds, rng)[place[sender, receiver]]] = NEVER
-        return cls(sender, receiver, arrival)
+        self._link, self._rng = link, rng
+        self.sender, self.receiver = np.nonzero(graph.adjacency)
+        self.arrival: Int[Array, "edges rounds"] = np.zeros((len(self.sender), 0), dtype=np.int32)
+        i, j = graph.pairs
+        place = np.full(graph.adjacency.shape, -1)
+        place[i, j] = place[j, i] = np.arange(len(i))
+        self._pair = place[self.sender, self.receiver]
+        self._outages = Outages(link, len(i), rng)
 
-
-def _draw_failures(
-    link: Link, pairs: int, rounds: int, rng: np.random.Generator
-) -> Bool[Array, "pairs rounds"]:
-    """Draw in which rounds each pair hears nothing."""
-    change = np.zeros((pairs, rounds + 1), dtype=np.int8)
-    most, up = link.outage_rounds, link.mean_up_rounds
-    # At a random time a link fails with the share; a longer failure is more likely to be met.
-    lengths = np.arange(1, most + 1)
-    first = rng.choice(lengths, pairs, p=lengths / lengths.sum())
-    left = np.minimum(rng.integers(1, first + 1), rounds)
-    fails = rng.random(pairs) < link.outage_share
-    now = np.where(fails, left, 0)
-    change[fails, 0] += 1
-    change[np.flatnonzero(fails), now[fails]] -= 1
-    while (now < rounds).any():
-        begin = np.minimum(now + rng.geometric(1 / up, pairs), rounds)
-        now = np.minimum(begin + rng.integers(1, most + 1, pairs), rounds)
-        np.add.at(change, (np.arange(pairs), begin), 1)
-        np.add.at(change, (np.arange(pairs), now), -1)
-    return np.asarray(change[:, :rounds].cumsum(axis=1) > 0)
+    def extend(self, rounds: int) -> bool:
+        """Draw so many rounds, or more; return False where they are drawn already."""
+        blocks, link = [self.arrival], self._link
+        for first in range(self.arrival.shape[1], rounds, BLOCK):
+            shape = len(self.sender), BLOCK
+            after = np.arange(first + 1, first + BLOCK + 1, dtype=np.int32)
+            block = np.broadcast_to(after, shape).copy()
+            if link.late:
+                block += self._rng.integers(0, link.late + 1, shape, dtype=np.int32)
+            if link.loss_probability:
+                block[self._rng.random(shape) < link.loss_probability] = NEVER
+            if link.outage_share:
+                is_down = np.stack([self._outages.advance() for _ in range(BLOCK)], axis=1)
+                block[is_down[self._pair]] = NEVER
+            blocks.append(block)
+        self.arrival = np.hstack(blocks)
+        return len(blocks) > 1

@@ -21,21 +21,27 @@ class Synchronizer:
     """Rounds of the network in which agents get through synchronous rounds."""
 
     def __init__(self, channel: Channel, stops: Rounds) -> None:
-        """Take in when messages arrive that are repeated.
+        """Begin.
 
         Args:
             channel: Arrival of messages.
-            stops: Round of the network in which each agent falls silent, NEVER if it does not.
+            stops: Round of the network in which each agent falls silent, or its time is over.
         """
-        sender, arrival = channel.sender, channel.arrival
-        rounds = np.arange(arrival.shape[1])
-        arrival = np.where(rounds < stops[sender][:, None], arrival, NEVER)
+        self._channel, self._stops, self._last = channel, stops, int(stops.max(initial=0))
+        self._edges = np.arange(len(channel.sender))
+        self._place = np.full((len(stops), len(stops)), -1)
+        self._place[channel.sender, channel.receiver] = self._edges
+        self._draw(0)
+
+    def _draw(self, rounds: int) -> None:
+        """Find out when messages arrive that are repeated from a round on, up to so many rounds."""
+        channel = self._channel
+        channel.extend(min(rounds, self._last))
+        count = channel.arrival.shape[1]
+        is_sent = np.arange(count) < self._stops[channel.sender][:, None]
+        arrival = np.where(is_sent, channel.arrival, NEVER)
         ahead = np.minimum.accumulate(arrival[:, ::-1], axis=1)[:, ::-1]
         self._heard = np.pad(ahead, ((0, 0), (0, 1)), constant_values=NEVER)
-        self._edges, self._last = np.arange(len(sender)), len(rounds)
-        self._place = np.full((len(stops), len(stops)), -1)
-        self._place[sender, channel.receiver] = self._edges
-        self._channel, self._stops = channel, np.minimum(stops, self._last)
 
     def find_edges(self, sender: Int[Array, " k"], receiver: Int[Array, " k"]) -> Int[Array, " k"]:
         """Return the places of edges in the list."""
@@ -43,8 +49,15 @@ class Synchronizer:
 
     def hear(self, sent: Rounds) -> Int[Array, " edges"]:
         """Return when each receiver has what its neighbor repeats from a round on."""
-        first = np.minimum(sent, self._last)[self._channel.sender]
-        return np.asarray(self._heard[self._edges, first])
+        asked = sent[self._channel.sender]
+        while True:
+            count = self._heard.shape[1] - 1
+            heard = self._heard[self._edges, np.minimum(asked, count)]
+            # What is repeated in a round that is not drawn yet may be heard sooner.
+            is_open = (asked < self._stops[self._channel.sender]) & (heard > count)
+            if count >= self._last or not is_open.any():
+                return np.asarray(heard)
+            self._draw(2 * count + 1)
 
     def advance(self, entered: Rounds, rounds: Int[Array, " agents"]) -> Rounds:
         """Return when each agent gets through so many synchronous rounds; NEVER if it does not.
@@ -59,4 +72,6 @@ class Synchronizer:
             np.maximum.at(after, self._channel.receiver, self.hear(now))
             after = np.where(after < self._stops, after, NEVER)
             now = np.where(count < rounds, after, now)
+            if (now == NEVER).all():
+                break
         return now

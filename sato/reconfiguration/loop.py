@@ -18,7 +18,12 @@ from sato.reconfiguration.disturbances import disturb_control, draw_losses, meas
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.network_decision import Negotiations, Outcome, steps_to_rounds
+from sato.reconfiguration.network_decision import (
+    Negotiations,
+    Outcome,
+    steps_to_rounds,
+    whole_steps,
+)
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
 from sato.reconfiguration.plan import (
     Plans,
@@ -65,6 +70,7 @@ class _Flight:
     def __init__(self, mission: Reconfiguration, rng: np.random.Generator) -> None:
         self.mission, self.rng = mission, rng
         self.leg, self.leg_index, self.step_index = mission.legs[0], 0, 0
+        self.events: list[state.Event] = []  # since the last frame
         self.x, self.alive = mission.initial_states, mission.alive
         self.estimate = estimator.Estimate.none(len(self.x), mission.axes)
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
@@ -78,11 +84,14 @@ class _Flight:
         self.pending: Negotiations | None = None  # decisions that are under way
         self.lost_at: dict[int, int] = {}  # instant at which each agent was lost
         self.link_rng = rng.spawn(1)[0]  # draws losses and delays of messages, and clocks
-        self.clock_offset = self.link_rng.uniform(0.0, mission.link.skew, len(m))  # [s]
+        # Clocks are behind by a time, and what agents fly by whole steps of it.
+        self.clock_delay = self.link_rng.uniform(0.0, mission.link.skew, len(m))  # [s]
+        if steps := whole_steps(mission, self.clock_delay):
+            everyone = list(range(len(m)))
+            self.events.append({"kind": "clocks", "agents": everyone, "steps": steps})
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
-        self.events: list[state.Event] = []  # since the last frame
 
     def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
         """Fly until all agents have arrived."""
@@ -275,7 +284,8 @@ class _Flight:
             more = {"programs": int(rejected.sum()), "reasons": reasons}
             events.append({"kind": "fallback", "agents": which, **more})
         own = found.plans, found.committed, events, was_reset, blocked
-        return Outcome(context.graph.alive, memory, *own, waits=found.waits)
+        rounds = 60 + sum(e.get("exchanges", 0) for e in events)
+        return Outcome(context.graph.alive, memory, *own, rounds, found.waits)
 
     def _take_up(self, outcome: Outcome) -> None:
         """Let agents take up what they have decided."""
@@ -298,9 +308,9 @@ class _Flight:
         for deciding, bids in self._schedule_decisions(later, self.called):
             outcomes.append(self._decide(later._replace(graph=deciding, memory=later.memory), bids))
         self.called, graph = [], context.graph
-        enters = steps_to_rounds(mission, self.clock_offset / mission.step)
+        enters = steps_to_rounds(mission, self.clock_delay / mission.step)
         rounds = int(steps_to_rounds(mission, np.array([mission.lag_steps]))[0])
-        channel = Channel.draw(mission.link, graph, rounds + int(enters.max()), self.link_rng)
+        channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
         self.pending = Negotiations(outcomes, graph, channel, enters, rounds, have_arrived)
 
@@ -351,13 +361,13 @@ class _Flight:
             silent = steps_to_rounds(mission, np.array([max(0, instant - begun)]))[0]
             stops[i] = pending.enters[i] + silent
         found = pending.finish(mission, stops)
+        late = self.alive & ~found.has_heard
         for outcome, through in zip(pending.outcomes, found.through, strict=True):
-            through = through & self.alive
-            if not through[outcome.agents & self.alive].all():
-                late = outcome.agents & self.alive & ~through
-                self._note("unconfirmed", late)
-            self._take_up(outcome.of(through))
-        return pending.have_arrived and found.is_census_complete
+            late |= outcome.agents & self.alive & ~through
+            self._take_up(outcome.of(through & self.alive))
+        if late.any():
+            self._note("unconfirmed", late)
+        return pending.have_arrived and not late.any()
 
     def _note_blocked(self, blocked: Array | None) -> None:
         """Note the targets that are left out from now on."""

@@ -9,7 +9,7 @@ may follow. All others keep what they had. No agreement on the last message is n
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
@@ -85,8 +85,7 @@ class Negotiations:
             chosen = synchronizer.advance(counted, np.where(deciding, outcome.rounds, 0))
             chosen[~deciding] = NEVER
             through.append(confirm(synchronizer, chosen, outcome.waits) < ends)
-        has_heard = (counted < ends) | (stops < NEVER) | ~alive
-        return Finished(through, bool(has_heard.all()))
+        return Finished(through, ~alive | (counted < ends))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ class Finished:
     """How decisions ended."""
 
     through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
-    is_census_complete: bool  # all agents have heard of all
+    has_heard: Bool[Array, " agents"]  # of all in its component; true for those that were lost
 
 
 def census_rounds(graph: CommunicationGraph) -> Int[Array, " agents"]:
@@ -128,3 +127,14 @@ def confirm(
 def steps_to_rounds(mission: Reconfiguration, steps: Int[Array, " k"]) -> Int[Array, " k"]:
     """Return the rounds of the network in some control steps."""
     return np.floor(steps * mission.step / mission.link.round + 1e-9).astype(int)
+
+
+def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> list[int]:
+    """Return by how many whole steps clocks are behind; nothing where none is.
+
+    Args:
+        mission: Its step and the largest difference of two clocks.
+        delay: Time by which each is behind [s].
+    """
+    most = int(mission.link.skew / mission.step + 1e-9)
+    return np.minimum(np.rint(delay / mission.step), most).astype(int).tolist() if most else []

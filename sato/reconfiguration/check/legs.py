@@ -34,10 +34,10 @@ def check_legs(record: ReconfigurationRecord) -> Promise:
 def check_assignment(record: ReconfigurationRecord) -> Promise:
     """Check that targets change by events only, and that lost agents hold none."""
     expected = np.full_like(record.frames.target_index, -1)
-    for k, event in record.events.of_kind("assignment", "loss"):
+    for k, event in record.events.of_kind("leg_start", "assignment", "loss"):
         agents = np.asarray(event["agents"], dtype=np.int64)
-        is_loss = event["kind"] == "loss"
-        expected[k:, agents] = -1 if is_loss else np.asarray(event["target"], dtype=np.int64)
+        is_new = event["kind"] == "assignment"
+        expected[k:, agents] = np.asarray(event["target"], dtype=np.int64) if is_new else -1
     is_wrong = expected != record.frames.target_index
     if record.mission.assignment == "given":
         is_wrong |= (expected >= 0) & (expected != np.arange(expected.shape[1]))
@@ -106,13 +106,16 @@ def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
 def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     """Tell whether a leg ends before its deadline, or long after clocks last began.
 
-    One whose last plans were not clear lasts until others are made, or until it is given up.
+    One whose last plans were not clear lasts until others are made, or until it is given up. Over
+    a network, clocks begin with the first plans, and a decision later all know that all are there.
     """
     steps, period = record.mission.legs[leg.leg_index].steps, record.mission.replan_steps
-    begins = [k for k, _ in record.events.of_kind("reset") if k < leg.end_index]
+    lag = record.mission.lag_steps
+    begin = ("reset", "assignment", "unconfirmed") if lag else ("reset",)
+    begins = [k for k, _ in record.events.of_kind(*begin) if k < leg.end_index]
     left = ("braked", "cautious") if record.mission.has_surroundings else ("braked",)
     braked = [k + period + 1 for k, _ in record.events.of_kind(*left) if k < leg.end_index]
-    latest = max([max([leg.start_index, *begins]) + steps, *braked])
+    latest = max([max([leg.start_index, *begins]) + steps, *braked]) + 3 * lag
     most = leg.start_index + MAX_LEG_FACTOR * steps
     gives_up = [k for k, _ in record.events.of_kind("infeasible") if k == leg.end_index == most]
     latest = min(max([latest, *gives_up]), most)

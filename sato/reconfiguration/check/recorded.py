@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics import trajectory_geometry
@@ -238,7 +238,17 @@ class ReconfigurationRecord(
         flags = self.frames.alive, self.is_adrift
         alive, adrift = (np.repeat(flag, count, axis=0)[: len(x)] for flag in flags)
         error = self._interpolation_error(x, count)
+        if self.clock_steps.any():
+            x, alive, adrift = (delay_rows(part, self.clock_steps) for part in (x, alive, adrift))
         return Pieces(x, alive, adrift, self.mission.step / count, error)
+
+    @cached_property
+    def clock_steps(self) -> Int[Array, " agents"]:
+        """Steps by which the clock of each agent is behind, by which its rows are recorded."""
+        steps = np.zeros(self.state.shape[1], dtype=int)
+        for _, event in self.events.of_kind("clocks"):
+            steps[:] = event["steps"]
+        return steps
 
     @cached_property
     def is_adrift(self) -> Bool[Array, "instants agents"]:
@@ -274,3 +284,15 @@ class ReconfigurationRecord(
         if isinstance(plant, LinearPlant) and plant.model.is_time_invariant:
             return plant.model
         return None
+
+
+def delay_rows(
+    recorded: Shaped[Array, "instants agents *k"], steps: Int[Array, " agents"]
+) -> Shaped[Array, "later agents *k"]:
+    """Return what agents did by one clock, where theirs are behind by some steps.
+
+    Before it begins, and after it ends, each is as at the first or the last instant.
+    """
+    count, most = len(recorded), int(steps.max())
+    instant = np.clip(np.arange(count + most)[:, None] - steps, 0, count - 1)
+    return np.asarray(recorded[instant, np.arange(len(steps))])
