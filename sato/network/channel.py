@@ -35,14 +35,18 @@ class Outages:
             is_down = rng.random(count) < link.outage_share
             self._left = np.where(is_down, rng.integers(1, first + 1), 0)
 
-    def advance(self) -> Bool[Array, " links"]:
-        """Return which links are down in this round, and go on to the next."""
-        is_down = self._left > 0
+    def draw(self, rounds: int) -> Bool[Array, "links rounds"]:
+        """Return which links are down in the next rounds."""
+        shape = rounds, len(self._left)
+        is_down = np.zeros(shape, dtype=bool)
         if self._most:
-            begins = ~is_down & (self._rng.random(len(is_down)) < self._start)
-            length = self._rng.integers(1, self._most + 1, len(is_down))
-            self._left = np.where(begins, length, np.maximum(self._left - 1, 0))
-        return is_down
+            begins = self._rng.random(shape, dtype=np.float32) < self._start
+            length = self._rng.integers(1, self._most + 1, shape, dtype=np.int32)
+            for k in range(rounds):
+                is_down[k] = self._left > 0
+                begun = np.where(begins[k], length[k], 0)
+                self._left = np.where(is_down[k], self._left - 1, begun)
+        return is_down.T
 
 
 class Channel:
@@ -74,16 +78,14 @@ class Channel:
         """Draw so many rounds, or more; return False where they are drawn already."""
         blocks, link = [self.arrival], self._link
         for first in range(self.arrival.shape[1], rounds, BLOCK):
-            shape = len(self.sender), BLOCK
-            after = np.arange(first + 1, first + BLOCK + 1, dtype=np.int32)
-            block = np.broadcast_to(after, shape).copy()
-            if link.late:
-                block += self._rng.integers(0, link.late + 1, shape, dtype=np.int32)
-            if link.loss_probability:
-                block[self._rng.random(shape) < link.loss_probability] = NEVER
+            drawn = self._rng.random((len(self.sender), BLOCK), dtype=np.float32)
+            loss, after = link.loss_probability, np.arange(first + 1, first + BLOCK + 1)
+            late = (drawn - loss) * ((link.late + 1) / (1 - loss))
+            block = after.astype(np.int32) + np.minimum(late.astype(np.int32), link.late)
+            is_lost = drawn < loss
             if link.outage_share:
-                is_down = np.stack([self._outages.advance() for _ in range(BLOCK)], axis=1)
-                block[is_down[self._pair]] = NEVER
+                is_lost |= self._outages.draw(BLOCK)[self._pair]
+            block[is_lost] = NEVER
             blocks.append(block)
         self.arrival = np.hstack(blocks)
         return len(blocks) > 1

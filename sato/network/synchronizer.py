@@ -28,6 +28,7 @@ class Synchronizer:
             stops: Round of the network in which each agent falls silent, or its time is over.
         """
         self._channel, self._stops, self._last = channel, stops, int(stops.max(initial=0))
+        self._until = np.minimum(stops[channel.sender], stops[channel.receiver])
         self._edges = np.arange(len(channel.sender))
         self._place = np.full((len(stops), len(stops)), -1)
         self._place[channel.sender, channel.receiver] = self._edges
@@ -54,8 +55,8 @@ class Synchronizer:
             count = self._heard.shape[1] - 1
             heard = self._heard[self._edges, np.minimum(asked, count)]
             # What is repeated in a round that is not drawn yet may be heard sooner.
-            is_open = (asked < self._stops[self._channel.sender]) & (heard > count)
-            if count >= self._last or not is_open.any():
+            is_open = (asked < self._until) & (heard > count) & (count < self._until)
+            if not is_open.any():
                 return np.asarray(heard)
             self._draw(2 * count + 1)
 
