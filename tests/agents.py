@@ -13,14 +13,20 @@ from sato.reconfiguration.leg import MAX_LEG_FACTOR
 
 
 def decide(agents, time, states, graph, seen=None):
-    """Call all agents in rounds until all have finished; yield the messages after each round."""
+    """Call all agents in rounds until all have finished; yield the messages after each round.
+
+    One that has finished sends nothing any more.
+    """
     sent, seen = {}, seen or {}
-    while not sent or not all(agent.is_finished for agent in agents.values()):
+    while True:
         inbox = {i: [sent[j] for j in graph.neighbors[i] if j in sent] for i in agents}
-        sent = {
+        told = {
             i: agent.step(time, states[i], inbox[i], seen.get(i, ()))[1]
             for i, agent in agents.items()
         }
+        sent = {i: message for i, message in told.items() if not agents[i].is_finished}
+        if not sent:
+            return
         yield sent
 
 

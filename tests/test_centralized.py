@@ -50,7 +50,7 @@ def by_priority(central, start, goal):
         )
         for i in range(len(start))
     }
-    after, _ = run_scp(planners, complete(len(planners)))
+    after, *_ = run_scp(planners, complete(len(planners)))
     assert all(max(p.terminal_error, p.slack) <= 1e-6 for p in after.values())
     assert not any(p.has_failed for p in after.values())
     return np.stack([p.nominal.x for p in after.values()]), np.stack(

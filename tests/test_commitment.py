@@ -182,7 +182,7 @@ def test_neighbors_choose_offers_that_are_clear_whatever_the_graph(rng, axes):
         agents = int(rng.integers(2, 9))
         offers, dense = random_offers(rng, mission, agents, 1.2 * agents ** (1 / axes))
         graph, rank = random_graph(rng, agents, rng.random()), rng.permutation(agents)
-        choice = choose_offers(offers, graph, rank)
+        choice, _ = choose_offers(offers, graph, rank)
         rows = np.arange(agents)
         assert offers.is_allowed[rows, choice].all()
         apart = least_distances(dense[rows, choice])
@@ -201,7 +201,7 @@ def test_committed_trajectories_are_always_an_answer(rng):
         offers, _ = random_offers(rng, mission, agents, 0.3)
         offers.is_allowed[:, :-1] = False
         graph = random_graph(rng, agents, 1.0)
-        choice = choose_offers(offers, graph, rng.permutation(agents))
+        choice, _ = choose_offers(offers, graph, rng.permutation(agents))
         assert (choice == offers.last).all()
 
 
@@ -210,7 +210,7 @@ def test_agents_keep_a_plan_that_is_clear_of_all(rng):
     mission = crowd()
     offers, _ = random_offers(rng, mission, 6, 0.1)
     offers.paths[:] += 50.0 * np.arange(6)[:, None, None, None, None]
-    choice = choose_offers(offers, random_graph(rng, 6, 1.0), np.arange(6))
+    choice, _ = choose_offers(offers, random_graph(rng, 6, 1.0), np.arange(6))
     np.testing.assert_array_equal(choice, offers.is_allowed.argmax(axis=1))
 
 
@@ -222,7 +222,7 @@ def test_choice_by_messages_is_that_of_all_at_once(rng):
             agents = int(rng.integers(1, 9))
             offers, _ = random_offers(rng, mission, agents, 1.0 * agents ** (1 / axes))
             graph, rank = random_graph(rng, agents, rng.random()), rng.permutation(agents)
-            choice = choose_offers(offers, graph, rank)
+            choice, _ = choose_offers(offers, graph, rank)
             np.testing.assert_array_equal(decide_by_messages(offers, graph, rank), choice)
             differs += (choice != offers.is_allowed.argmax(axis=1)).sum()
     assert differs > 20

@@ -50,7 +50,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
         adjacency = np.triu(rng.random((count, count)) < 0.7, 1)
         graph = graph_of(adjacency)
         if again:
-            after, _ = run_scp(planners, graph)
+            after, *_ = run_scp(planners, graph)
             some = {i: p for i, p in planners.items() if 0 < i < count // 2 + 1}
             planners |= with_previous_plans(some, after)
         slow, fast = list(plan_by_messages(planners, graph)), list(run_batched(planners, graph))
@@ -71,7 +71,7 @@ def test_batched_exchanges_equal_the_definition(rng, count, axes, again):
 def test_continuous_paths_keep_the_collision_radius(rng, axes):
     for _ in range(5):
         planners = random_swarm(rng, 6, axes, box=4.0)
-        after, _ = run_scp(planners, complete(len(planners)))
+        after, *_ = run_scp(planners, complete(len(planners)))
         ended = [p._replace(terminal_error=0.0) for p in after.values()]
         assert all(keeps_all(p) and not p.has_failed for p in ended)
         assert continuous_separation(after) >= RADIUS
@@ -108,7 +108,7 @@ def test_fixed_point_satisfies_the_kkt_conditions(rng, monkeypatch):
     tested = 0
     for _ in range(6):
         planners = random_swarm(rng, 5)
-        after, _ = run_scp(planners, complete(len(planners)))
+        after, *_ = run_scp(planners, complete(len(planners)))
         for i, me in after.items():
             if me.solve_count == 0 or me.solve_count >= 100 or not keeps_all(me):
                 continue
@@ -159,7 +159,7 @@ def test_agent_with_more_fuel_left_gives_way_also_head_on():
     ends = ([-1.5, 0.0], [1.5, 0.0])
     for spent in ((0.0, 1.0), (1.0, 0.0)):
         pair = {0: make_planner(0, *ends, spent[0]), 1: make_planner(1, *ends[::-1], spent[1])}
-        after, _ = run_scp(pair, complete(2))
+        after, *_ = run_scp(pair, complete(2))
         gives_way = int(np.argmin(spent))
         assert after[1 - gives_way].nominal is pair[1 - gives_way].solo
         assert after[gives_way].solve_count > 0
@@ -176,7 +176,7 @@ def test_agent_keeps_to_the_side_of_its_previous_plan(side):
     x, u = pair[1].solo.x.copy(), pair[1].solo.u
     x[1:-1, 1] += side  # a plan that passes on that side
     begun = pair[1].with_nominal(Trajectory(x, u, 0.0))._replace(has_converged=False)
-    after, _ = run_scp(pair | {1: begun}, complete(len(pair)))
+    after, *_ = run_scp(pair | {1: begun}, complete(len(pair)))
     assert keeps_all(after[1])
     assert np.sign(after[1].nominal.x[T // 2, 1]) == np.sign(side)
     assert continuous_separation(after) >= RADIUS
@@ -184,10 +184,10 @@ def test_agent_keeps_to_the_side_of_its_previous_plan(side):
 
 def test_agent_returns_to_its_solo_trajectory_when_clear(rng):
     planners = random_swarm(rng, 5)
-    after, _ = run_scp(planners, complete(len(planners)))
+    after, *_ = run_scp(planners, complete(len(planners)))
     last = max((p for p in after.values() if p.solve_count), key=lambda p: p.priority).priority[2]
     begun = with_previous_plans({last: planners[last]}, after)
-    alone, _ = run_scp(begun, graph_of(np.zeros((5, 5), dtype=bool)))
+    alone, *_ = run_scp(begun, graph_of(np.zeros((5, 5), dtype=bool)))
     assert alone[last].nominal is planners[last].solo
     assert alone[last].is_final and alone[last].solve_count == 0
 
@@ -231,9 +231,8 @@ def test_final_planner_ignores_messages(rng):
 
 
 def test_scp_without_agents_takes_no_exchange():
-    assert run_scp(
-        {}, CommunicationGraph(np.zeros((3, 3), dtype=bool), np.zeros(3, dtype=bool))
-    ) == ({}, 0)
+    nobody = CommunicationGraph(np.zeros((3, 3), dtype=bool), np.zeros(3, dtype=bool))
+    assert run_scp({}, nobody)[:2] == ({}, 0)
 
 
 def test_paths_pass_through_states_and_drift_after_the_last_step():
@@ -275,14 +274,14 @@ def test_cheapest_passing_side_is_chosen():
     start, goal = [-1.5, 0.0, 0.0], [1.5, 0.0, 0.0]
     mover = make_planner(1, start, goal)
     stands = immobile(0, [0.0, 0.05, -0.3])
-    after, _ = run_scp({0: stands, 1: mover}, complete(2))
+    after, *_ = run_scp({0: stands, 1: mover}, complete(2))
     fuel = after[1].nominal.fuel
     for axis, side in ((1, 1), (1, -1), (2, 1), (2, -1)):
         x = mover.solo.x.copy()
         x[1:-1, axis] += 0.8 * side
         aside = Trajectory(x, mover.solo.u, 0.0)
         other = mover.with_nominal(aside)._replace(has_converged=False)
-        round_there, _ = run_scp({0: stands, 1: other}, complete(2))
+        round_there, *_ = run_scp({0: stands, 1: other}, complete(2))
         assert fuel <= round_there[1].nominal.fuel * (1 + 1e-3)
 
 
@@ -290,7 +289,7 @@ def test_distance_that_no_control_can_keep_counts_as_slack():
     # One agent has no steps left, and the other begins too close to it.
     place = np.array([0.0, 0.8 * RADIUS])
     planners = {0: immobile(0, np.zeros(2)), 1: make_planner(1, place, place * 5)}
-    after, _ = run_scp(planners, complete(2))
+    after, *_ = run_scp(planners, complete(2))
     assert after[0].slack == 0.0
     assert 0.2 * RADIUS * (1 - 1e-9) <= after[1].slack <= 0.2 * RADIUS * (1 + 1e-5)
     planners[1] = immobile(1, place)

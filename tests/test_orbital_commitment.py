@@ -63,7 +63,7 @@ def test_choices_in_orbit_are_clear_of_all_whose_held_paths_were():
         rng = np.random.default_rng([1, seed])
         offers = random_offers(rng, 6)
         graph = CommunicationGraph.from_positions(rng.uniform(0, 6, (6, 2)), 4.0, ALL)
-        choice, _ = choose_in_orbit(offers, graph, rng.permutation(6))
+        choice, *_ = choose_in_orbit(offers, graph, rng.permutation(6))
         pairs = [pair for pair in combinations(range(6), 2) if graph.adjacency[pair]]
         unclear = {a for pair in pairs if least_distance(offers, *pair, last) < 1 for a in pair}
         for i, j in pairs:

@@ -84,7 +84,7 @@ def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
 
 def test_one_order_is_method_2_itself(rng):
     planners = random_swarm(rng, 5)
-    once, exchanges = run_scp(planners, complete(len(planners)))
+    once, exchanges, _ = run_scp(planners, complete(len(planners)))
     found = try_priority_orders(planners, complete(len(planners)), 1)
     assert found.round_count == exchanges
     assert found.solve_count == sum(p.solve_count for p in once.values())
@@ -130,7 +130,7 @@ def test_component_without_cost_tries_no_further_order(rng):
 
 def test_swarm_without_conflicts_solves_nothing():
     planners = {i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i]) for i in range(3)}
-    once, exchanges = run_scp(planners, complete(len(planners)))
+    once, exchanges, _ = run_scp(planners, complete(len(planners)))
     found = try_priority_orders(planners, complete(len(planners)), 9)
     assert (found.round_count, found.solve_count) == (exchanges + 1, 0)  # one flood of the costs
     assert all(found.planners[i].nominal is once[i].nominal for i in once)
@@ -162,7 +162,7 @@ def test_infeasible_agent_sends_the_path_that_it_flies():
     me = make_planner(2, [0.0, 0.0], [0.0, 0.0])
     walls = {i: immobile(i, [0.1 * i, 0.0]) for i in range(2)}
     swarm = walls | {2: me._replace(control_points=me.control_points + 0.3, has_converged=False)}
-    after, _ = run_scp(swarm, complete(len(swarm)))
+    after, *_ = run_scp(swarm, complete(len(swarm)))
     assert after[2].has_failed or after[2].slack > 0
     flown = after[2].with_nominal(after[2].nominal)
     np.testing.assert_array_equal(after[2].control_points, flown.control_points)
@@ -247,7 +247,7 @@ def test_replanning_never_raises_the_fuel_of_the_first_plan(bargains):
             memory = AgentMemory.initial(np.full(4, 4))
             memory = replace(memory, target_index=np.arange(4), clock=np.full(4, k))
             context = DecisionContext(mission, leg, complete(4), x, memory, k, float(k))
-            plans, events = plan_trajectories(context, spent, plans)
+            plans, events, _ = plan_trajectories(context, spent, plans)
             assert [event["kind"] for event in events] == ["replan"]
             planned.append(spent.sum() + sum(plan.trajectory.fuel for plan in plans.values()))
         flown = {i: Commitment(p.planned_at, p.trajectory.u) for i, p in plans.items()}

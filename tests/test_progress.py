@@ -79,7 +79,7 @@ def test_agents_that_meet_halfway_keep_their_distance_and_arrive(rng, axes):
     for _ in range(4):
         planners = random_swarm(rng, 4, axes)
         graph = CommunicationGraph(~np.eye(4, dtype=bool), np.ones(4, dtype=bool))
-        found, _ = meet_halfway(planners, graph)
+        found, *_ = meet_halfway(planners, graph)
         if all(agent.has_converged for agent in found.values()):
             assert continuous_separation(found) >= R * (1 - 1e-9)
             assert all(agent.reaches_target(agent.nominal) for agent in found.values())

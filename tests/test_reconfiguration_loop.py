@@ -303,7 +303,7 @@ def test_agent_that_burned_more_or_was_held_up_has_priority(first, was_kept_from
         fuel_used = fuel_used[::-1]
         astray = Trajectory(x[[first]], np.zeros((0, 2)), 0.0)
         previous = {first: Plan(astray, None, 0, 0, failure_count=1)}
-    plans, _ = plan_trajectories(context, fuel_used, previous)
+    plans, *_ = plan_trajectories(context, fuel_used, previous)
     sideways = [np.abs(plans[i].trajectory.x[:, 1]).max() for i in range(2)]
     assert sideways[first] < 1e-9 < 0.4 < sideways[1 - first]
 

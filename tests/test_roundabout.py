@@ -17,6 +17,7 @@ from planner_examples import (
     with_previous_plans,
 )
 
+from sato.network.load import Load
 from sato.scp.negotiation import negotiate
 from sato.scp.planner import is_clear
 from sato.scp.priority_orders import ConflictResolution, offset_right, try_priority_orders
@@ -97,7 +98,7 @@ def test_both_sides_are_tried_with_two_offsets_each(monkeypatch):
 
     def nowhere(planners, graph, bend):
         tried.append(bend)
-        return ConflictResolution({}, 0, 0)
+        return ConflictResolution({}, 0, 0, Load.none(len(graph.alive)))
 
     monkeypatch.setattr("sato.scp.resolve.solve_roundabout", nowhere)
     planners = antipodal_swarm(5, 1.5)

@@ -74,7 +74,7 @@ def test_one_to_which_all_give_way_flies_straight_and_keeps_its_priority(rng):
     first = (before[0] - 0.5, *before[1:])
     planners, graph = delayed_group(rng, is_delayed=True, priority=first)
     assert spread_agents(planners, graph) == list(range(1, 9))
-    found, _ = meet_halfway(planners, graph)
+    found, *_ = meet_halfway(planners, graph)
     assert found[0].priority == first and found[0].has_converged
 
 

@@ -37,5 +37,6 @@ def _result(auction: VsdaaAuction, target_index: np.ndarray, m: np.ndarray) -> V
         round_count=0,
         bid_count=0,
         last_bid_round=0,
+        stop_round=np.zeros_like(m),
         price=np.zeros_like(auction.cost),
     )

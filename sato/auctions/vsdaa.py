@@ -107,6 +107,7 @@ class VsdaaResult(NamedTuple):
     round_count: int  # from the first bid until the last agent stopped, after 4 D + 1 for D and m
     bid_count: int
     last_bid_round: int
+    stop_round: Int[Array, " agents"]  # in which each agent stopped
     price: Float[Array, "agents targets"]  # signed, as each agent knows it
 
 
@@ -127,6 +128,7 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
         round_count=int(stopped.max(initial=0)),
         bid_count=int(state.bid_count.sum()),
         last_bid_round=int(state.last_bid_round.max(initial=0)),
+        stop_round=stopped,
         price=state.price,
     )
 

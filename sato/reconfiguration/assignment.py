@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from dynamics.trajectory_geometry import min_distance
 from sato.auctions import VsdaaAuction, VsdaaResult, assign_centrally, assign_given, run_vsdaa
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
@@ -38,6 +39,7 @@ class AssignmentDecision(NamedTuple):
     memory: AgentMemory
     was_reset: Bool[Array, " agents"]  # the clock was set back
     solve_count: int
+    load: Load
     blocked: Bool[Array, "agents targets"] | None = None  # targets that were left out
 
 
@@ -47,6 +49,7 @@ class AuctionResult(NamedTuple):
     outcome: VsdaaResult
     won_unreachable: Bool[Array, " agents"]  # the agent won a target out of its reach
     solve_count: int
+    load: Load
 
 
 def assign_targets(
@@ -75,19 +78,20 @@ def assign_targets(
     cost = np.where(was_reset, np.inf, planned_cost)
     context = context._replace(memory=memory)
     auction = run_auction(context, cost, None, blocked)
-    solves = auction.solve_count
+    solves, load = auction.solve_count, auction.load
     is_called = needs_reset(context, auction.outcome.bidder_count, auction.won_unreachable)
     is_due = graph.component_any(graph.alive & is_called) & graph.alive
     if is_due.any():
         was_reset, cost = was_reset | is_due, np.where(is_due, np.inf, cost)
         context = context._replace(memory=replace(memory, clock=set_back(context, is_due)))
         auction = run_auction(context, cost, None, blocked)
-        solves += auction.solve_count
+        solves, load = solves + auction.solve_count, load.plus(auction.load, is_due)
     if auction.won_unreachable.any():
         is_firm = graph.component_any(auction.won_unreachable)
         auction = run_auction(context, cost, is_firm, blocked)
-        solves += auction.solve_count
-    return AssignmentDecision(_remember(context, auction.outcome), was_reset, solves, blocked)
+        solves, load = solves + auction.solve_count, load.plus(auction.load, is_firm)
+    held = _remember(context, auction.outcome)
+    return AssignmentDecision(held, was_reset, solves, load, blocked)
 
 
 def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
@@ -172,6 +176,7 @@ def run_auction(
     count, order = memory.target_count, None
     if blocked is not None:
         order, count = order_targets(count, blocked)
+    load, bids = Load.none(len(graph.alive)), graph.alive  # again, where a cost was refined
     while True:
         cost = compute_bid_costs(table, memory, graph, is_firm, mission.printed)
         if order is not None:
@@ -185,15 +190,23 @@ def run_auction(
                 target_index=np.where(graph.alive, index, -1),
                 target_count=np.maximum(auction.target_count, memory.target_count),
             )
+        load = load.plus(_count_load(auction, graph), bids)
         won = auction.target_index[live]
         inexact = ~table.is_exact[live, won]
         if not inexact.any():
             lost = np.zeros(len(graph.alive), dtype=bool)
             lost[live] = ~table.is_reachable[live, won]
-            return AuctionResult(auction, lost, solves)
+            return AuctionResult(auction, lost, solves, load)
         solves += int(inexact.sum())
+        bids = graph.component_any(np.isin(np.arange(len(bids)), live[inexact]))
         for i, j in zip(live[inexact].tolist(), won[inexact].tolist(), strict=True):
             refine_cost(context, table, i, j)
+
+
+def _count_load(auction: VsdaaResult, graph: CommunicationGraph) -> Load:
+    """Count the load of an auction: of its terms, of bids, and of reports that all have stopped."""
+    stopped = graph.component_max(auction.stop_round)
+    return Load(np.where(stopped > 0, 2 * graph.diameter + stopped, 0))
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

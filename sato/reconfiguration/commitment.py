@@ -10,6 +10,7 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
+from collections.abc import Collection
 from itertools import product
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.reconfiguration.evasion import ROUNDING, find_evasions, is_met, list_looks, make_report
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
@@ -41,12 +43,19 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 NOBODY = np.zeros(0, dtype=int)
 
 
+class Choices(NamedTuple):
+    """Offers that agents have chosen."""
+
+    choice: Int[Array, " agents"]
+    load: Load
+
+
 def choose_offers(
     offers: Offers,
     graph: CommunicationGraph,
     rank: Int[Array, " agents"],
     is_confirmed: bool = False,
-) -> Int[Array, " agents"]:
+) -> Choices:
     """Let all agents agree on offers that are clear of each other.
 
     All begin with their best. While two are not clear, the one that follows its plan for longer
@@ -64,6 +73,7 @@ def choose_offers(
     i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
+    round, last_change = 0, np.zeros(len(graph.alive), dtype=np.int64)
     first, second = np.where(rank[i] < rank[j], (i, j), (j, i))
     is_free = np.ones(len(i), dtype=bool)
     while True:
@@ -78,7 +88,10 @@ def choose_offers(
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
-            return np.asarray(choice)
+            rounds = graph.component_max(last_change) + graph.diameter + 1
+            return Choices(choice, Load.of(offers.agents.tolist(), rounds))
+        round += 1
+        last_change[offers.agents[moved]] = round
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
         changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
@@ -140,6 +153,7 @@ class CommitmentChoice(NamedTuple):
     committed: Commitments
     plans: Plans  # without a target where they are not flown
     cautious: list[int]  # agents that could not commit to their plans
+    load: Load
     # Pairs of neighbors in which the first commits only once it knows that the second does.
     waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
 
@@ -156,10 +170,10 @@ def commit(
         is_confirmed: True where agents commit once all that they could meet have confirmed it.
     """
     if not plans:
-        return CommitmentChoice({}, plans, [])
+        return CommitmentChoice({}, plans, [], Load.none(len(context.state)))
     offers = make_offers(context, plans, committed)
     rank = rank_of(offers, plans)
-    choice = choose_offers(offers, context.graph, rank, is_confirmed)
+    choice, load = choose_offers(offers, context.graph, rank, is_confirmed)
     rows = np.arange(len(plans))
     u, paths = offers.u[rows, choice], offers.paths[rows, choice]
     adjacent = context.graph.adjacency[np.ix_(offers.agents, offers.agents)]
@@ -188,13 +202,27 @@ def commit(
     followed = {
         i: follow(context, plan, int(flown[a]), u[a]) for a, (i, plan) in enumerate(plans.items())
     }
-    evaded = _list_evasions(context, plans, offers, u, paths, choice)
+    met = {
+        c for a, c in enumerate(component.tolist()) if is_met(context, offers, a, int(choice[a]))
+    }
+    evaded = _list_evasions(context, plans, offers, u, paths, met)
     done |= {i: Commitment(context.instant, own) for i, own in evaded.items()}
     followed |= {i: leave(context, plans[i]) for i in evaded}
     left = {int(offers.agents[a]) for a in cautious if flown[a] == 0}.union(evaded)
     left = {i for i in left if leaves_plan(plans[i], followed[i])}
     waits = find_waits(offers, context.graph, paths) if is_confirmed else (NOBODY, NOBODY)
-    return CommitmentChoice(done, followed, sorted(left), waits)
+    load = load.plus(_count_load(context.graph, offers, cautious, met))
+    return CommitmentChoice(done, followed, sorted(left), load, waits)
+
+
+def _count_load(
+    graph: CommunicationGraph, offers: Offers, cautious: list[int], met: set[int]
+) -> Load:
+    """Count the load of reports, of the turns of cautious agents, and of evasions."""
+    turns = np.bincount(graph.component[offers.agents[cautious]], minlength=len(graph.alive))
+    floods = 1 + np.isin(graph.component, list(met))
+    rounds = floods * graph.diameter + turns[graph.component]
+    return Load.of(offers.agents.tolist(), rounds)
 
 
 def find_waits(
@@ -215,12 +243,11 @@ def _list_evasions(
     offers: Offers,
     u: Float[Array, "agents T m"],
     paths: Float[Array, "agents pieces 4 d"],
-    choice: Int[Array, " agents"],
+    met: Collection[int],
 ) -> dict[int, Float[Array, "_ m"]]:
     """List new controls in the components in which something came over what an agent chose."""
     mission, component = context.mission, context.graph.component[offers.agents]
     found: dict[int, Array] = {}
-    met = {component[a] for a in range(len(plans)) if is_met(context, offers, a, int(choice[a]))}
     for c in sorted(met):
         rows = np.flatnonzero(component == c)
         horizon = stopping_horizon(mission, int(offers.steps[rows].max()))

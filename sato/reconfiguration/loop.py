@@ -10,6 +10,7 @@ from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets, claim_targets
 from sato.reconfiguration.clock import announce_clock
@@ -256,21 +257,23 @@ class _Flight:
     def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
         memory, blocked, is_confirmed = context.memory, None, self.mission.lag_steps > 0
+        auction = Load.none(len(self.x))
         was_reset = np.zeros(len(self.x), dtype=bool)
         heard = memory.clock
         if bids:
             cost = remaining_cost(self.plans, context)
             decision = assign_targets(context, cost, self._hear_clocks(context))
             memory, solves = decision.memory, decision.solve_count
-            was_reset, blocked = decision.was_reset, decision.blocked
+            was_reset, blocked, auction = decision.was_reset, decision.blocked, decision.load
         elif bids_on_change(self.mission):
             memory = claim_targets(context, memory)
         context = context._replace(memory=memory)
-        planned, events = planning.plan_trajectories(context, self.spent, self.plans, solves, heard)
+        own = context, self.spent, self.plans, solves, heard
+        planned, events, exchange = planning.plan_trajectories(*own)
         if self.mission.printed:
             now = context.instant
             committed = {i: Commitment(now, plan.trajectory.u) for i, plan in planned.items()}
-            found = CommitmentChoice(committed, planned, [])
+            found = CommitmentChoice(committed, planned, [], Load.none(len(self.x)))
         elif self.mission.is_point_mass:
             found = commit(context, planned, self.committed, is_confirmed)
         else:
@@ -283,9 +286,9 @@ class _Flight:
             reasons = sorted({self.solvers[i].last_rejection for i in which})
             more = {"programs": int(rejected.sum()), "reasons": reasons}
             events.append({"kind": "fallback", "agents": which, **more})
-        own = found.plans, found.committed, events, was_reset, blocked
-        rounds = 60 + sum(e.get("exchanges", 0) for e in events)
-        return Outcome(context.graph.alive, memory, *own, rounds, found.waits)
+        made = found.plans, found.committed, events, was_reset, blocked
+        rounds = np.stack([auction.rounds, exchange.rounds, found.load.rounds], axis=1)
+        return Outcome(context.graph.alive, memory, *made, rounds, waits=found.waits)
 
     def _take_up(self, outcome: Outcome) -> None:
         """Let agents take up what they have decided."""

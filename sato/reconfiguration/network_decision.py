@@ -32,8 +32,8 @@ class Outcome:
     committed: Commitments
     events: list[Event]
     was_reset: Bool[Array, " agents"]  # the clock was set back
-    blocked: Bool[Array, "agents targets"] | None = None  # targets that were left out
-    rounds: int = 0  # synchronous ones, after the census
+    blocked: Bool[Array, "agents targets"] | None  # targets that were left out
+    rounds: Int[Array, "agents purposes"]  # synchronous ones, after the census
     # Pairs of which the first commits only once it knows that the second does.
     waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
 
@@ -82,7 +82,9 @@ class Negotiations:
         through = []
         for outcome in self.outcomes:
             deciding = outcome.agents
-            chosen = synchronizer.advance(counted, np.where(deciding, outcome.rounds, 0))
+            chosen = synchronizer.advance(
+                counted, np.where(deciding, outcome.rounds.sum(axis=1), 0)
+            )
             chosen[~deciding] = NEVER
             through.append(confirm(synchronizer, chosen, outcome.waits) < ends)
         return Finished(through, ~alive | (counted < ends))

@@ -11,6 +11,7 @@ in which that is so at the start, and plans are not clear of each other either, 
 """
 
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,7 @@ from numpy import ndarray as Array
 from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.reconfiguration.commitment import (
     CommitmentChoice,
     are_clear,
@@ -44,6 +46,8 @@ from sato.reconfiguration.state import DecisionContext
 from sato.reconfiguration.stopping import Commitment, Commitments, committed_controls, pad_controls
 from sato.reconfiguration.surroundings import Surroundings, count_escape_steps
 from sato.scenario.errors import InputError
+
+HOLDING_ROUNDS = 1  # in which agents compare what they have committed to
 
 
 def make_orbital_offers(
@@ -193,7 +197,7 @@ def commit_in_orbit(
     flown = dict(plans)
     graph = context.graph.relayed if context.mission.is_passively_safe else context.graph
     kept, evading = list[int](), list[int]()
-    heard = -context.graph.component_max(-clocks)
+    heard, load = -context.graph.component_max(-clocks), Load.none(len(clocks))
     agents = np.array(list(plans), dtype=int)
     for component in np.unique(context.graph.component[agents]):
         members = agents[context.graph.component[agents] == component].tolist()
@@ -201,13 +205,15 @@ def commit_in_orbit(
         is_empty = around is None or not around.is_known[members].any()
         if is_empty and (len(members) == 1 or are_plans_clear(context, own)):
             done |= {i: Commitment(context.instant, plan.trajectory.u) for i, plan in own.items()}
+            load = load.plus(Load.of(members, HOLDING_ROUNDS + graph.diameter + 1))
             continue
         offers, detours = make_orbital_offers(context, own, committed, int(heard[members[0]]))
         for row, each in detours.items():
             near = graph.adjacency[offers.agents[row], offers.agents]
             clearance = (offers.clearance[row] + offers.clearance[near]) / 2
             offers = offer_detour(offers, row, each, offers.paths[near, -1], clearance)
-        choice, keeps = choose_in_orbit(offers, graph, rank_of(offers, own))
+        choice, keeps, more = choose_in_orbit(offers, graph, rank_of(offers, own))
+        load = load.plus(more)
         if context.instant == 0:
             check_start(offers, choice, graph)
         u = offers.u[np.arange(len(members)), choice]
@@ -217,7 +223,9 @@ def commit_in_orbit(
     flown |= {i: keep_previous(plans[i], previous.get(i)) for i in kept}
     flown |= {i: leave(context, plans[i]) for i in evading}
     left = {i for i in kept if leaves_plan(plans[i])}.union(evading)
-    return CommitmentChoice(done, flown, sorted(left))
+    if context.mission.is_passively_safe:  # others pass on each message
+        load = Load(load.rounds * np.maximum(context.graph.diameter, 1))
+    return CommitmentChoice(done, flown, sorted(left), load)
 
 
 def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
@@ -232,23 +240,30 @@ def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
     )
 
 
+class OrbitalChoices(NamedTuple):
+    """Offers that agents have chosen in orbit."""
+
+    choice: Int[Array, " agents"]
+    keeps: Bool[Array, " agents"]  # True where an agent keeps what it has committed to
+    load: Load
+
+
 def choose_in_orbit(
     offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
-) -> tuple[Int[Array, " agents"], Bool[Array, " agents"]]:
+) -> OrbitalChoices:
     """Let all agents agree on offers.
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
-
-    Returns:
-        Choices, and True for the agents that keep what they have committed to.
     """
     i, j, radius = list_pairs(offers, graph)
     held = np.full(len(offers.agents), offers.last)
     met = ~are_clear(offers, held, i, j, radius)
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
-    choice = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
+    choice, load = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
-    return choice, choice == offers.last
+    rounds = np.full_like(load.rounds, HOLDING_ROUNDS)
+    load = load.plus(Load.of(offers.agents.tolist(), rounds))
+    return OrbitalChoices(choice, choice == offers.last, load)
 
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:

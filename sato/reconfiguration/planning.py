@@ -2,6 +2,7 @@
 
 from functools import lru_cache, partial
 from math import ceil, inf, isfinite
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,6 +12,7 @@ from dynamics.discretize import discretize_zoh
 from dynamics.trajectory_geometry import interpolation_error
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
+from sato.network.load import Load
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.passive_safety import begin_passively_safe
@@ -25,13 +27,21 @@ from sato.scp.routes import go_around
 MAX_PIECES = 12  # of the trajectory within a step
 
 
+class Planning(NamedTuple):
+    """Plans of agents that have resolved their conflicts."""
+
+    plans: Plans
+    events: list[Event]
+    load: Load
+
+
 def plan_trajectories(
     context: DecisionContext,
     spent: Float[Array, " agents"],
     previous: Plans,
     solve_count: int = 0,
     clocks: Int[Array, " agents"] | None = None,
-) -> tuple[Plans, list[Event]]:
+) -> Planning:
     """Plan for every agent that decides: alone first, then clear of the others.
 
     Args:
@@ -47,19 +57,24 @@ def plan_trajectories(
     heard = -graph.component_max(-(context.memory.clock if clocks is None else clocks))
     planners, unreachable, solo_count = plan_alone(context, spent, previous, heard)
     solve_count, rounds, resolved = solve_count + solo_count, 0, dict[int, Planner]()
+    load = Load.none(len(graph.alive))
     for steps in sorted({planner.horizon.steps for planner in planners.values()}):
         alike = {i: planner for i, planner in planners.items() if planner.horizon.steps == steps}
         bends = 0
         if mission.keeps_plans:
-            alike, bends = meet_halfway(alike, graph)
+            alike, bends, meeting = meet_halfway(alike, graph)
+            load = load.plus(meeting)
         found = resolve_conflicts(alike, graph, mission.orders, mission.bargains)
         solve_count, rounds = solve_count + found.solve_count, max(rounds, bends, found.round_count)
         resolved |= found.planners
+        load = load.plus(found.load)
     replan = {"solves": solve_count, "exchanges": rounds}
     N = len(mission.initial_states)
     hears_all = bool(graph.adjacency.sum() == N * (N - 1))
     plans, relaxed = make_plans(context, resolved, unreachable, previous, hears_all)
-    return plans, [{"kind": "replan", "agents": [], **replan}, *relaxed]
+    if mission.is_passively_safe:  # others pass on each message
+        load = Load(load.rounds * np.maximum(context.graph.diameter, 1))
+    return Planning(plans, [{"kind": "replan", "agents": [], **replan}, *relaxed], load)
 
 
 def make_plans(

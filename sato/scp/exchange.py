@@ -1,30 +1,43 @@
 """Method 2 for all agents: exchange trajectories until all are final."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_paths_separated
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, may_have_to_solve, update_planner
 
 
-def run_scp(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> tuple[dict[int, Planner], int]:
+class ExchangeResult(NamedTuple):
+    """Trajectories that are final."""
+
+    planners: dict[int, Planner]
+    round_count: int  # exchanges
+    load: Load
+
+
+def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> ExchangeResult:
     """Exchange trajectories until those of all agents are final.
 
     Args:
         planners: Planner of each agent, by its number.
         graph: Communication graph.
-
-    Returns:
-        The planners at the end, and the number of exchanges.
     """
     history = [dict(planners), *run_batched(planners, graph)]
-    return history[-1], len(history) - 1
+    return ExchangeResult(history[-1], len(history) - 1, _count_load(history, graph))
+
+
+def _count_load(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+    """Count the load of an exchange: D rounds after the last trajectory is final, all know it."""
+    rounds = np.zeros(len(graph.alive), dtype=np.int64)
+    for planners in history:
+        rounds[[i for i, agent in planners.items() if not agent.is_final]] += 1
+    return Load.of(list(history[0]), graph.component_max(rounds) + graph.diameter)
 
 
 def run_batched(

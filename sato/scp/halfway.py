@@ -12,12 +12,15 @@ An agent gives way alone to those of a higher class of priority, and to none of 
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from problems.avoidance import Relaxation
 from problems.path_separation import are_paths_separated
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.rounds import run_round
 from sato.scp.bending import bend_all, can_move, stack_paths
 from sato.scp.planner import VIOLATION_TOLERANCE, Planner, TrajectoryMessage, solve_around
@@ -30,9 +33,18 @@ IMPROVEMENTS_OF_PLAN = 1  # the same of one that begins with a plan
 RELAXATIONS: tuple[Relaxation, ...] = ("none", "half-spaces")
 
 
-def meet_halfway(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> tuple[dict[int, Planner], int]:
+Update = Callable[[dict[int, Planner], CommunicationGraph], dict[int, Planner]]
+
+
+class MeetingResult(NamedTuple):
+    """Trajectories of agents that give way to each other."""
+
+    planners: dict[int, Planner]
+    round_count: int  # in which something changed
+    load: Load
+
+
+def meet_halfway(planners: Mapping[int, Planner], graph: CommunicationGraph) -> MeetingResult:
     """Let all agents bend their paths and solve for trajectories, in rounds.
 
     The batched equivalent of `halfway_stages`: agents that have nothing to change are left out.
@@ -40,28 +52,37 @@ def meet_halfway(
     Args:
         planners: Planner of each agent, by its number; of horizons with equal steps.
         graph: Communication graph.
-
-    Returns:
-        The planners, and the number of rounds.
     """
-    now, bends = _repeat(MAX_BENDS, bend_all, spread_all(dict(planners), graph), graph)
-    now, meetings = _repeat(MEETINGS, _solve_all, now, graph)
-    return {i: come_after(agent) for i, agent in now.items()}, 1 + bends + meetings
+    spread = [dict(planners), spread_all(dict(planners), graph)]
+    bends = _repeat(MAX_BENDS, bend_all, spread[-1], graph)
+    meetings = _repeat(MEETINGS, _solve_all, bends[-1], graph)
+    done = {i: come_after(agent) for i, agent in meetings[-1].items()}
+    count = 1 + min(len(bends), MAX_BENDS) + min(len(meetings), MEETINGS)
+    return MeetingResult(done, count, _count_load([*spread, *bends[1:]], graph))
 
 
 def _repeat(
-    most: int,
-    update: Callable[[dict[int, Planner], CommunicationGraph], dict[int, Planner]],
-    now: dict[int, Planner],
-    graph: CommunicationGraph,
-) -> tuple[dict[int, Planner], int]:
-    """Repeat a round of messages until it changes nothing; return the number of rounds."""
-    for rounds in range(most):
+    most: int, update: Update, now: dict[int, Planner], graph: CommunicationGraph
+) -> list[dict[int, Planner]]:
+    """Repeat a round of messages until it changes nothing; return the planners after each."""
+    history = [now]
+    for _ in range(most):
         updated = update(now, graph)
         if all(updated[i] is now[i] for i in updated):
-            return now, rounds + 1
+            break
         now = now | updated
-    return now, most
+        history.append(now)
+    return history
+
+
+def _count_load(bends: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+    """Count the load of paths that bend until all know that none moves, and of the meetings."""
+    last = np.zeros(len(graph.alive), dtype=np.int64)
+    last[list(bends[0])] = 1  # paths spread in the first round
+    for round, (before, after) in enumerate(pairwise(bends), 1):
+        last[[i for i, agent in after.items() if agent is not before[i]]] = round
+    bending = graph.component_max(last) + graph.diameter + 1
+    return Load.of(list(bends[0]), bending + MEETINGS)
 
 
 def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:

@@ -7,7 +7,7 @@ stay as they last told. So no two agents come closer than half-spaces allow, and
 never rises, except to take an agent to its target that would have ended elsewhere.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from problems.pair_avoidance import PairProblem, RelativeHalfSpaces
 from problems.path_separation import are_balls_separated, are_hulls_separated
 from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
 from sato.scp.planner import (
     ACTIVE_TOLERANCE,
@@ -88,11 +89,13 @@ def negotiate(
         graph: Communication graph.
         sweeps: Largest number of sweeps; fewer in a component where the last one saved little.
     """
-    now, rounds, solves = dict(planners), 0, 0
+    now, rounds, solves, load = dict(planners), 0, 0, Load.none(len(graph.alive))
     flooding = int(graph.diameter[list(now)].max(initial=0))
     continuing, costs = set(now), component_costs(now, graph)
     for _ in range(sweeps):
-        turns = schedule_pairs(now, graph, {i for i in continuing if any(costs[i])})
+        looking = {i for i in continuing if any(costs[i])}
+        turns = schedule_pairs(now, graph, looking)
+        load = load.plus(_count_load(turns, graph, looking))
         rounds += 1 + flooding
         if not turns:
             break
@@ -103,7 +106,17 @@ def negotiate(
             solves += sum(negotiator.solve_count for negotiator in negotiators.values())
         before, costs = costs, component_costs(now, graph)
         continuing = {i for i in now if _has_improved(before[i], costs[i])}
-    return ConflictResolution(now, rounds, solves)
+    return ConflictResolution(now, rounds, solves, load)
+
+
+def _count_load(
+    turns: Iterable[Mapping[int, int]], graph: CommunicationGraph, looking: Iterable[int]
+) -> Load:
+    """Count the load of a sweep: a flood of pairs, their turns, and a flood of costs."""
+    pairs = np.zeros(len(graph.alive), dtype=np.int64)
+    for turn in turns:
+        pairs[graph.component[[i for i, partner in turn.items() if i < partner]]] += 1
+    return Load.of(list(looking), 1 + 2 * graph.diameter + 3 * pairs[graph.component])
 
 
 def _has_improved(before: PriorityCost, cost: PriorityCost) -> bool:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.rounds import run_round
 from sato.scp.exchange import run_scp
 from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
@@ -32,6 +33,7 @@ class ConflictResolution(NamedTuple):
     planners: dict[int, Planner]
     round_count: int  # rounds of messages, floods included
     solve_count: int  # programs
+    load: Load
 
 
 def try_priority_orders(
@@ -44,25 +46,27 @@ def try_priority_orders(
         graph: Communication graph.
         orders: Largest number of orders; fewer where no agent of a component has a cost.
     """
-    kept, rounds = run_scp(planners, graph)
+    kept, rounds, load = run_scp(planners, graph)
     tried, solves = kept, count_solves(kept)
     if orders == 1 or not kept:
-        return ConflictResolution(kept, rounds, solves)
+        return ConflictResolution(kept, rounds, solves, load)
     flooding = int(graph.diameter[list(kept)].max())
     rounds += flooding
     costs = component_costs(kept, graph)
     if any(map(any, costs.values())):
         kept = keep_cheaper(kept, select_clear_components(planners, graph), graph)
         rounds += 1 + flooding
+        load = load.plus(Load.of([i for i in kept if any(costs[i])], 1 + graph.diameter))
     for _ in range(orders - 1):
         costly = [i for i, total in component_costs(kept, graph).items() if any(total)]
         if not costly:
             break
         planners = {i: offset_right(raise_priority(planners[i], tried[i]), 1.0) for i in costly}
-        tried, exchanges = run_scp(planners, graph)
+        tried, exchanges, more = run_scp(planners, graph)
+        load = load.plus(more)
         rounds, solves = rounds + exchanges + flooding, solves + count_solves(tried)
         kept = keep_cheaper(kept, tried, graph)
-    return ConflictResolution(kept, rounds, solves)
+    return ConflictResolution(kept, rounds, solves, load)
 
 
 def compute_priority_cost(agent: Planner) -> PriorityCost:

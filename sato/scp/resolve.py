@@ -8,8 +8,11 @@ all neighbors as they last told, also of those whose turn is still to come, unti
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from problems.avoidance import Relaxation
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
 from sato.scp import priority_orders
 from sato.scp.negotiation import negotiate
@@ -39,7 +42,7 @@ def resolve_conflicts(
     negotiated = negotiate(ordered.planners, graph, sweeps)
     kept = negotiated.planners
     flooding = int(graph.diameter[list(kept)].max(initial=0))
-    trials, floods = [ordered, negotiated], 1
+    trials, floods, load = [ordered, negotiated], 1, Load.of(list(kept), graph.diameter)
     able = priority_orders.select_components(planners, graph, can_use_roundabout)
     for offset in OFFSETS:
         totals = priority_orders.component_costs(kept, graph)
@@ -47,12 +50,16 @@ def resolve_conflicts(
         trials.append(solve_roundabout(costly, graph, offset))
         if trials[-1].planners:
             trials.append(negotiate(trials[-1].planners, graph, sweeps))
+            load = load.plus(Load.of(list(trials[-1].planners), graph.diameter))
             kept = priority_orders.keep_cheaper(kept, trials[-1].planners, graph)
             floods += 1
+    for trial in trials:
+        load = load.plus(trial.load)
     return priority_orders.ConflictResolution(
         kept,
         sum(trial.round_count for trial in trials) + floods * flooding,
         sum(trial.solve_count for trial in trials),
+        load,
     )
 
 
@@ -79,7 +86,7 @@ def solve_roundabout(
     """
     now = {i: priority_orders.offset_right(agent, offset) for i, agent in planners.items()}
     done: dict[int, Planner] = {}
-    rounds = 0
+    rounds, load = 0, Load.none(len(graph.alive))
     for _ in range(MAX_ROUNDS):
         if not now:
             break
@@ -88,13 +95,15 @@ def solve_roundabout(
             now |= run_round(graph, {i: now[i] for (i,) in turn}, update_in_turn, messages)
             rounds += 1
         rounds += 1 + int(graph.diameter[list(now)].max())
+        turns = np.bincount(graph.component[list(now)], minlength=len(graph.alive))
+        load = load.plus(Load.of(list(now), turns[graph.component] + 1 + graph.diameter))
         clear = priority_orders.select_clear_components(now, graph)
         done |= priority_orders.select_components(
             clear, graph, lambda agent: agent.reaches_target(agent.nominal)
         )
         now = {i: agent for i, agent in now.items() if i not in done}
     solves = priority_orders.count_solves(now | done)
-    return priority_orders.ConflictResolution(done, rounds, solves)
+    return priority_orders.ConflictResolution(done, rounds, solves, load)
 
 
 def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:
