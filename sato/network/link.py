@@ -1,9 +1,10 @@
 """Radio link between two agents: losses, delays, failures, and the time that a round takes."""
 
 from dataclasses import dataclass
-from math import ceil, log
+from math import ceil
 from typing import Annotated, Any
 
+import numpy as np
 from annotated_types import Lt
 
 from dynamics.units import Time
@@ -75,7 +76,20 @@ class Link(Definition):
 
     @property
     def silent_rounds(self) -> int:
-        """Rounds within which an agent within hearing is heard, but for one case in 10⁹."""
-        loss = self.loss_probability
-        repeats = max(1, ceil(log(UNHEARD_PROBABILITY) / log(loss))) if loss else 1
-        return repeats + self.late + self.outage_rounds
+        """Rounds within which an agent within hearing is heard, but for one case in 10⁹.
+
+        The link fails and recovers meanwhile as in `Channel.draw`.
+        """
+        most, share, rounds = self.outage_rounds, self.outage_share, 0
+        # Probability that nothing was heard, and that the link is up, or down for 1, 2 … rounds.
+        ages = np.arange(most, 0, -1.0)
+        unheard = np.append(1 - share, share * ages / max(1.0, ages.sum()))
+        after = np.eye(most + 1, k=1)
+        after[0, 0] = 1.0
+        if share:
+            fails = 1 / self.mean_up_rounds
+            after[:, 0] = np.append(1 - fails, np.full(most, fails / most))
+        while unheard.sum() > UNHEARD_PROBABILITY:
+            unheard[0] *= self.loss_probability
+            unheard, rounds = after @ unheard, rounds + 1
+        return rounds + self.late
