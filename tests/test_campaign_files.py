@@ -6,13 +6,16 @@ from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import sato
+from sato.auctions import run_vsdaa
 from sato.campaigns.definition import Campaign, read_campaign
 from sato.campaigns.table import TABLE_FILE, CampaignTable
 from sato.cli import app
+from sato.network.link import Link
 from sato.scenario.errors import InputError
 
 FILES = sorted((Path(__file__).parents[1] / "campaigns").glob("*.toml"))
@@ -41,6 +44,28 @@ def test_functions_of_the_studies_judge_a_run(name, scenario, overrides, monkeyp
     studies = import_module("studies")
     monkeypatch.setattr(studies, "REPETITIONS", 1)
     assert getattr(studies, name)(sato.run(scenario, overrides=overrides))
+
+
+def test_auction_as_written_is_vsdaa_where_no_message_is_lost(monkeypatch):
+    monkeypatch.syspath_prepend(FILES[0].parent)
+    lossy = import_module("lossy_auctions")
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        start, graph = lossy._draw_start(rng, 12, 8.0)
+        goal = rng.uniform(0, 8, (20, 2))
+        held, more = lossy._run_as_written(rng, start, goal, graph, Link())
+        expected = run_vsdaa(lossy._make_vsdaa(start, goal, graph))
+        assert np.array_equal(held, expected.target_index)
+        assert more["rounds"] == expected.round_count
+
+
+@pytest.mark.parametrize("method", ["synchronized", "cbaa"])
+def test_next_auction_settles_duplicates_of_one_that_was_cut(method, monkeypatch):
+    monkeypatch.syspath_prepend(FILES[0].parent)
+    rng = np.random.default_rng(0)
+    counted = import_module("lossy_auctions").assign_twice(rng, method, 20, 6, 0.3, is_cut=True)
+    assert counted["duplicates"] > 0 and counted["through"] < 1
+    assert counted["duplicates_next"] == 0 and counted["through_next"] == 1
 
 
 def test_cases_and_grid_are_all_combined_and_share_their_seeds():
