@@ -1,4 +1,4 @@
-"""Radio link between two agents: losses, delays, failures, and the time that a round takes."""
+"""Radio link between two agents: losses, delays, outages, and the time that a round takes."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -27,15 +27,15 @@ class Link(Definition):
     loss_probability: Annotated[
         float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
     ] = 0.0
-    outage: Annotated[Time, NotNegative, "longest time for which a link fails"] = 0.0
+    outage: Annotated[Time, NotNegative, "longest outage of a link"] = 0.0
     outage_share: Annotated[
-        float, NotNegative, Lt(1), "share of the time in which a link fails"
+        float, NotNegative, Lt(1), "share of the time in which a link is down"
     ] = 0.0
     skew: Annotated[Time, NotNegative, "largest difference between two clocks"] = 0.0
     round: Annotated[Time, NotNegative, "time that a round of messages takes"] = 0.0
 
     def check(self) -> None:
-        """Refuse failures without a length, or without a time that rounds take.
+        """Refuse outages without a length, or without a time that rounds take.
 
         Raises:
             InputError: There are; says what would do.
@@ -46,14 +46,14 @@ class Link(Definition):
             )
             raise InputError(lacks, f"is 0, and {has} is not: give both, or neither")
         if self.outage > 0 and self.round == 0:
-            reason = f"is 0, and failures of {self.outage:g} s are counted in rounds"
+            reason = f"is 0, and outages of {self.outage:g} s are counted in rounds"
             raise InputError("round_s", f"{reason}; a time that rounds take would do")
         if self.outage_share > 0 and self.mean_up_rounds < 1:
             mean, share = (self.outage_rounds + 1) / 2, self.outage_share
             least = ceil(2 * share / (1 - share)) * self.round
             raise InputError(
                 "outage_share",
-                f"{share:g} with failures of {mean:g} rounds leaves less than a round between two; "
+                f"{share:g} with outages of {mean:g} rounds leaves less than a round between two; "
                 f"at most {mean / (mean + 1):.3g}, or outage_s = {least:.3g} would do",
             )
 
@@ -65,12 +65,12 @@ class Link(Definition):
 
     @property
     def outage_rounds(self) -> int:
-        """Rounds for which a link fails at most."""
+        """Rounds of the longest outage."""
         return ceil(self.outage / self.round - 1e-9) if self.outage else 0
 
     @property
     def mean_up_rounds(self) -> float:
-        """Mean number of rounds between two failures."""
+        """Mean number of rounds between two outages."""
         down = (self.outage_rounds + 1) / 2
         return down * (1 - self.outage_share) / self.outage_share
 

@@ -263,7 +263,8 @@ class _CrowdEvasion:
 
     def _limits(self, own: EvasionReport) -> tuple[Limit, Limit]:
         """Return the limits of an agent's control and speed."""
-        return self.mission.planned_control_limit(own.agent), self.mission.speed_limit(own.agent)
+        mission, i = self.mission, own.agent
+        return mission.planned_control_limit(i), mission.stop_speed_limit(i)
 
     def _keeps_limits(self, own: EvasionReport) -> bool:
         v = self.horizon.discrete_model.simulate(own.state, own.u)[1:, self.mission.axes :]

@@ -7,6 +7,7 @@ it can stop clear of all others, or does not join.
 """
 
 from functools import lru_cache
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
 )
 from sato.reconfiguration.surroundings import Surroundings, find_surroundings
-from sato.scenario.errors import InputError, round_down, round_up
+from sato.scenario.errors import InputError, join_names, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
 
 MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
@@ -227,15 +228,43 @@ def check_reach(mission: Reconfiguration) -> None:
             "stop before it meets what it sees; several times as much would do",
         )
     if mission.is_point_mass and mission.vehicle_count > 1 and reach <= 0:
-        least = mission.comm_radius - 2 * reach
+        least = mission.distance_unheard(mission.margin)
+        cures = _wider(mission, mission.radius_for_full_speed) or ["several times as much"]
         raise InputError(
             "swarm.comm_radius_m",
             f"{mission.comm_radius:g} is no more than the {least:.4g} m that two keep, margins "
-            "included, so none could move without meeting others unheard; several times as much "
-            "would do",
+            f"included, so none could move without meeting others unheard; {cures[0]} would do",
         )
     for some, where in ((mission.alive, "swarm.start"), (~mission.alive, "leg.join.start")):
         check_stops(mission, np.flatnonzero(some), state[some], where)
+        _check_speeds(mission, np.flatnonzero(some), state[some], where)
+
+
+def _check_speeds(
+    mission: Reconfiguration,
+    agents: Int[Array, " agents"],
+    state: Float[Array, "agents n"],
+    where: str,
+) -> None:
+    if mission.link.is_ideal:
+        return
+    for i, v in zip(agents.tolist(), state[:, mission.axes :], strict=True):
+        limit = mission.stop_speed_limit(i)
+        if limit.is_exceeded(v):
+            speed = float(np.linalg.norm(v))
+            slower = speed * limit.most / float(limit.measure(v))
+            cures = [f"a speed of {round_down(slower)} m/s"]
+            cures += _wider(mission, mission.radius_for_full_speed)
+            raise InputError(
+                where,
+                f"agent {i} starts at {speed:.4g} m/s, and over this [link] vehicles stop before "
+                f"they meet others unheard from {slower:.4g} m/s; {join_names(cures)} would do",
+            )
+
+
+def _wider(mission: Reconfiguration, radius: float) -> list[str]:
+    is_cure = mission.comm_radius < radius < inf
+    return [f"swarm.comm_radius_m = {round_up(radius)}"] if is_cure else []
 
 
 def check_stops(
@@ -267,13 +296,14 @@ def check_stops(
     if len(far):
         a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
-        radius = mission.comm_radius + 2 * (way - reach)
         slower = float(np.linalg.norm(state[a, d:])) * (max(reach, 0.0) / way) ** 0.5
+        cures = [f"a speed of {round_down(slower)} m/s"]
+        cures += _wider(mission, mission.radius_for_way(way))
         raise InputError(
             where,
-            f"agent {agents[a]} needs {way:.4g} m to stop, and within {reach:.4g} m, half of what "
-            "the communication radius leaves, it could meet others that it does not hear; a speed "
-            f"of {round_down(slower)} m/s, or swarm.comm_radius_m = {round_up(radius)} would do",
+            f"agent {agents[a]} needs {way:.4g} m to stop, and within {reach:.4g} m, all that "
+            "the communication radius leaves, it could meet others that it does not hear; "
+            f"{join_names(cures)} would do",
         )
 
 

@@ -278,6 +278,7 @@ class Reconfiguration(PlannedLimits, Mission):
         if self.is_point_mass:
             vehicles.check_limits(self)
         fastest, margin = float(self.top_speeds.max()), self.known_margin
+        skewed = self.link.skew * fastest if self.link.skew and not self.has_margin else 0.0
         for period in range(self.horizon_steps // 2, 1, -1):
             if (self.auction_steps or period) % period:
                 continue
@@ -285,7 +286,7 @@ class Reconfiguration(PlannedLimits, Mission):
                 from sato.reconfiguration.tolerances import compute_random_margin
 
                 margin = compute_random_margin(self, period)
-            if self.speed_within_reach(period, margin) >= fastest:
+            if self.speed_within_reach(period, margin + skewed) >= fastest:
                 return period
         return 1
 

@@ -37,6 +37,7 @@ class PlannedLimits(Vehicles):
     link: Link
     allow_undetectable: bool
     printed: bool
+    link: Link
     disturbance: float
     position_noise: float
     velocity_noise: float
@@ -122,15 +123,39 @@ class PlannedLimits(Vehicles):
     def reach_unheard(self, margin: float) -> float:
         """Return how far vehicles may fly on before they could meet what they do not know [m].
 
-        Others that they do not hear, which fly as far; or what rests beyond their sensing radius.
+        Others that they do not hear, which fly as far, n = 2, or also before a clock that is
+        behind says so, n = 3; or what rests beyond their sensing radius, n = 1. At their speed V
+        they have come nearer before they know, and before they fly by what they decide:
+
+            r = (R_comm − R)/n − V (2 τ + L Δt)     [m]
         """
         if self.allow_undetectable or self.printed:
             return inf
-        kept = self._distance_unheard(margin)
-        unseen = self.sight - kept if self.has_unseen else inf
-        return min((self.comm_radius - kept) / 2, unseen)
+        rooms = self._list_rooms(self.replan_steps, margin)
+        if self.link.is_ideal:
+            return min(room for room, _ in rooms)
+        V = self.fastest_plans(self.replan_steps, margin)
+        return min(room - V * delay for room, delay in rooms)
 
-    def _distance_unheard(self, margin: float) -> float:
+    def _list_rooms(self, steps: int, margin: float) -> list[tuple[float, float]]:
+        """List the ways that n vehicles share (R_comm − R)/n [m], and delays 2 τ + L Δt [s].
+
+        τ is the time for which one may go unheard, and clocks may differ. What is decided is flown
+        from L steps on: the replanning period, where rounds take time, or 0.
+        """
+        kept, link = self.distance_unheard(margin), self.link
+        waits = steps * self.step if link.round else 0.0
+        unheard = 2 * (link.silent_rounds * link.round + link.skew)
+        rooms = [((self.comm_radius - kept) / self.sharing_unheard, unheard + waits)]
+        return [*rooms, (self.sight - kept, waits)] if self.has_unseen else rooms
+
+    @property
+    def sharing_unheard(self) -> int:
+        """Number n of ways that the distance of two that do not hear each other is enough for."""
+        return 3 if self.link.skew else 2
+
+    def distance_unheard(self, margin: float) -> float:
+        """Return the least of R_comm, with which vehicles could not move at all [m]."""
         # The references of two may be nearer than these by a margin, and keep another.
         kept = self.largest_separation + margin * (1 if self.tracking is None else 2)
         return kept * self.widest_axis
@@ -140,18 +165,33 @@ class PlannedLimits(Vehicles):
 
         They fly on for so many steps h, and stop at the least control U of plans in whole steps:
 
-            V n h + V²/2U + V h/2 ≤ (R_comm − R)/2     [m]
+            V n h + V²/2U + V h/2 ≤ r(V)     [m]
 
         Args:
             steps: Steps h for which they fly on.
             margin: Margin in R [m].
             control_factor: Factor of all limits of the control.
         """
-        reach = self.reach_unheard(margin)
-        if not self.is_point_mass or reach == inf:
+        if not self.is_point_mass or self.allow_undetectable or self.printed:
             return inf
-        U, t = control_factor * self.least_braking, (steps + 0.5) * self.step
-        return float(U * ((t**2 + 2 * max(reach, 0.0) / U) ** 0.5 - t))
+        U, speeds = control_factor * self.least_braking, []
+        for room, delay in self._list_rooms(steps, margin):
+            t = (steps + 0.5) * self.step + delay
+            speeds.append(U * ((t**2 + 2 * max(room, 0.0) / U) ** 0.5 - t))
+        return float(min(speeds))
+
+    def fastest_plans(self, steps: int, margin: float) -> float:
+        """Return the largest speed of any plan, where vehicles fly on for so many steps [m/s]."""
+        return min(float(self.top_speeds.max()), self.speed_within_reach(steps, margin))
+
+    def skew_margin(self, margin: float) -> float:
+        """Return by how much two come nearer than planned as their clocks differ, at most [m].
+
+        Args:
+            margin: Margin for all else [m].
+        """
+        skew = self.link.skew
+        return skew * self.fastest_plans(self.replan_steps, margin) if skew else 0.0
 
     @property
     def least_braking(self) -> float:
@@ -169,8 +209,16 @@ class PlannedLimits(Vehicles):
     def radius_for_full_speed(self) -> float:
         """Communication radius with which vehicles stop within reach from full speed [m]."""
         V, t = float(self.top_speeds.max()), (self.replan_steps + 0.5) * self.step
-        way = V * t + V**2 / (2 * self.least_braking)
-        return self._distance_unheard(self.known_margin) + 2 * way
+        return self.radius_for_way(V * t + V**2 / (2 * self.least_braking))
+
+    def radius_for_way(self, way: float) -> float:
+        """Return the communication radius that lets vehicles at full speed fly on so far [m]."""
+        V, margin = float(self.top_speeds.max()), self.known_margin
+        [(_, delay), *_] = self._list_rooms(self.replan_steps, margin)
+        if delay:
+            way += V * delay
+            margin += self.link.skew * (V - self.fastest_plans(self.replan_steps, margin))
+        return self.distance_unheard(margin) + self.sharing_unheard * way
 
     def planned_speed_limit(self, agent: int, control_factor: float = 1.0) -> Limit:
         """Return the limit of the velocity in the plans of an agent [m/s].
@@ -190,12 +238,20 @@ class PlannedLimits(Vehicles):
         diagonal = self.axes**0.5 if self.speed_norm == "inf" else 1.0
         return replace(limit, bound=slow / diagonal)
 
+    def stop_speed_limit(self, agent: int) -> Limit:
+        """Return the limit of the velocity in stops and evasions of an agent [m/s].
+
+        Its own, unless its reach counts on its speed, as where messages are late.
+        """
+        is_own = self.link.is_ideal
+        return self.speed_limit(agent) if is_own else self.planned_speed_limit(agent)
+
     def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
-        """Make the transfer problem of an agent over some steps, at its full speed at most."""
+        """Make the transfer problem of an agent over some steps, at the speed of stops at most."""
         from problems.transfer import TransferProblem
 
         names = "fuel_norm", "control_norm", "speed_norm"
         options: dict[str, Any] = {name: getattr(self, name) for name in names}
         options |= {"max_control": self.planned_control_limit(agent).bound}
-        options |= {"max_speed": self.speed_limit(agent).bound}
+        options |= {"max_speed": self.stop_speed_limit(agent).bound}
         return TransferProblem(model, **(options | more))

@@ -9,7 +9,7 @@ from problems.auction_cost import compute_energies
 from problems.convexify import SEPARATION_TOLERANCE
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.definition import is_auto
-from sato.scenario.errors import InputError, round_down, round_up
+from sato.scenario.errors import InputError, join_names, round_down, round_up
 
 ARRIVAL_TOLERANCE = 1e-6  # of the least spacing of the targets
 CONTROL_FACTOR = 10.0  # times a control that is enough for any way of the mission
@@ -28,15 +28,17 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     given, margin = mission.position_tolerance, mission.known_margin
     is_computed = not mission.has_margin
     noise = wrong = (0.0, 0.0)
-    if mission.has_noise or not mission.flies_model:
+    if mission.has_noise or not mission.flies_model or mission.link.skew:
         from sato.reconfiguration import tolerances
 
         noise = tolerances.noise_on_arrival(mission)
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin
+    check_skew(mission, margin)
     pairs = [mission.find_tightest(leg.targets) for leg in mission.legs]
     tightest = min(pairs, key=lambda pair: pair[0] - pair[1])  # the one with the least room
-    check_margin(margin, "auto gives" if is_computed else "takes", *tightest)
+    verb = "auto gives" if is_computed else "takes"
+    check_margin(margin, verb, *tightest, mission.skew_margin(margin))
     increment = mission.epsilon
     if is_auto(increment) and not isfinite(spacing):
         increment = mission.tie_break * mission.largest_separation**2 / 2 or increment
@@ -50,7 +52,7 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     )
 
 
-def check_margin(margin: float, verb: str, spacing: float, R: float) -> None:
+def check_margin(margin: float, verb: str, spacing: float, R: float, least: float = 0.0) -> None:
     """Refuse a margin that leaves no room between two targets.
 
     Args:
@@ -58,20 +60,36 @@ def check_margin(margin: float, verb: str, spacing: float, R: float) -> None:
         verb: How it comes about, for the error.
         spacing: Distance of the two [m].
         R: Distance that their vehicles keep without a margin [m].
+        least: Least margin that would do [m].
 
     Raises:
         InputError: It does not; says what would do.
     """
     kept = 1 + SEPARATION_TOLERANCE
     if margin > 0 and (R + margin) * kept > spacing * (1 + 1e-9):
-        least, room = round_up((R + margin) * kept), spacing / kept - R
-        most = round_down(room) if room > 0 else "0"
-        cures = f"a shape with {least} m, less noise, or margin_m = {most} would do"
+        enough, room = round_up((R + margin) * kept), spacing / kept - R
+        cures = [f"a shape with {enough} m", "less skew" if least else "less noise"]
+        if room >= least:
+            cures.append(f"margin_m = {round_down(room) if room > 0 else 0}")
         raise InputError(
             "plan.margin_m",
             f"{verb} {margin:.4g} m beyond the collision radius of {R:g} m, and targets are "
-            f"{spacing:.8g} m apart; {cures}",
+            f"{spacing:.8g} m apart; {join_names(cures)} would do",
         )
+
+
+def check_skew(mission: Reconfiguration, margin: float) -> None:
+    """Refuse a margin by which vehicles do not keep apart as their clocks differ.
+
+    Raises:
+        InputError: It is too small; says what would do.
+    """
+    least = mission.skew_margin(margin)
+    if margin < least * (1 - 1e-9):
+        reason = f"{margin:g} is less than the {least:.4g} m that two come nearer than planned"
+        skew = f"as their clocks differ by link.skew_s = {mission.link.skew:g}"
+        cures = f'"auto", or {round_up(least)} would do'
+        raise InputError("plan.margin_m", f"{reason}, {skew}; {cures}")
 
 
 def _cut_control(mission: Reconfiguration) -> Reconfiguration:

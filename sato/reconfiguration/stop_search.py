@@ -44,7 +44,7 @@ def search_stops(
         rest_steps: Steps at the end of the horizon for which it rests.
         bodies: All that it has to avoid.
     """
-    limit, speed = mission.planned_control_limit(agent), mission.speed_limit(agent)
+    limit, speed = mission.planned_control_limit(agent), mission.stop_speed_limit(agent)
     d, h, S = mission.axes, mission.step, horizon.pieces_per_step
     signs = np.array(list(product((0.0, -1.0, 1.0), repeat=d)))
     choices = limit.cut(limit.most * limit.shares * signs)

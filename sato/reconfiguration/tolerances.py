@@ -32,17 +32,18 @@ MAX_MODEL_ERROR = 0.1  # of the collision radius: beyond it a model is doubtful
 def compute_margin(mission: Reconfiguration) -> float:
     """Compute by how much two agents may come closer than planned until they plan again [m].
 
-        2 max |model − plant| + max min(5 √2 c, (2 g + 5 √2) s)
+        2 max |model − plant| + max min(5 √2 c, (2 g + 5 √2) s) + V × skew
                                  k
 
     The first is the largest error of the model that all agents share over the time between two
     plans, under full control on all axes, in either direction; twice, for the errors of two may
     point at each other. An agent that linearizes again plans better than this, but the
     trajectories between its samples are those of the shared model. It is 0 where the model is
-    what flies. The second is of random errors.
+    what flies. The second is of random errors, and the third of clocks that differ.
     """
     period, whole = mission.replan_steps, sum(leg.steps for leg in mission.legs)
-    return 2 * model_error(mission, period) + compute_random_margin(mission, period, whole)
+    margin = 2 * model_error(mission, period) + compute_random_margin(mission, period, whole)
+    return margin + mission.skew_margin(margin)
 
 
 def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LONG_FLIGHT) -> float:
