@@ -57,13 +57,15 @@ class Flight(NamedTuple):
             for name in ("position", "velocity", "control", "applied_control")
         )
         radii = np.broadcast_to(scenario["swarm"]["collision_radius_m"], position.shape[1])
+        state = np.concatenate([position, velocity], axis=2)
+        alive, behind = data["alive"].values.astype(bool), _read_clocks(data)
         return cls(
             scenario,
             data["time"].values,
-            np.concatenate([position, velocity], axis=2),
-            data["alive"].values.astype(bool),
-            np.nan_to_num(control[:-1]),
-            np.nan_to_num(applied[:-1]),
+            _delay(state, behind),
+            _delay(alive, behind),
+            _delay(np.nan_to_num(control[:-1]), behind, 0.0),
+            _delay(np.nan_to_num(applied[:-1]), behind, 0.0),
             radii.astype(float),
             data.sizes["axis"],
         )
@@ -397,6 +399,22 @@ def _note(least: Array, when: Array, pairs: Array, ratio: Array, steps: Array) -
 def _is_silent(pair: tuple[int, int], time: float, events: list[dict[str, Any]]) -> bool:
     named = (e for e in events if e["kind"] in RECORDS and e["time"] <= time * (1 + ROUNDING))
     return not any(set(pair) & set(event["agents"]) for event in named)
+
+
+def _read_clocks(data: xr.Dataset) -> Array:
+    """Return by how many steps the clock of each vehicle is behind, by which it is recorded."""
+    events = [json.loads(str(text)) for text in data["event"].values]
+    each = [event["steps"] for event in events if event["kind"] == "clocks"]
+    return np.array(each[0] if each else [0] * data.sizes["agent"])
+
+
+def _delay(recorded: Array, steps: Array, before: float | None = None) -> Array:
+    """Delay what each vehicle does; before that it is at rest where it starts."""
+    row, vehicle = np.arange(len(recorded))[:, None] - steps, np.arange(len(steps))
+    found = recorded[np.maximum(row, 0), vehicle]
+    if before is not None:
+        found[row < 0] = before
+    return np.asarray(found)
 
 
 def _in_space(values: Array) -> Array:

@@ -34,7 +34,6 @@ class PlannedLimits(Vehicles):
     obstacles: tuple[Any, ...]
     replan_steps: int
     margin: Any
-    link: Link
     allow_undetectable: bool
     printed: bool
     link: Link
