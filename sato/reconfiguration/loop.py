@@ -200,7 +200,7 @@ class _Flight:
         self.alive[joined] = True
         if joined:  # the deadline of the leg is that of all
             clock = self.memory.clock.copy()
-            clock[joined] = min(k, self.leg.steps)
+            clock[joined] = min(max(k - mission.lag_steps, 0), self.leg.steps)
             self.memory = replace(self.memory, clock=clock)
         refused = [i for i in self.waiting if not (self.alive[i] or waits[i])]
         self.waiting = [i for i in self.waiting if waits[i] and not self.alive[i]]
