@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from sato.auctions.bidder import CbaaBidder, WinningBids
-from sato.auctions.cbaa import UNLIMITED_ROUNDS, CbaaAuction, init_state, run_cbaa, run_rounds
+from sato.auctions.cbaa import (
+    NO_OUTAGES,
+    UNLIMITED_ROUNDS,
+    CbaaAuction,
+    init_state,
+    run_cbaa,
+    run_rounds,
+)
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 
@@ -26,13 +33,13 @@ def run_by_messages(auction: CbaaAuction):
     now = {i: CbaaBidder(i, score[i], len(live), WinningBids.empty(points)) for i in live}
     sent = {i: agent.bids for i, agent in now.items()}
     on_their_way = deque([sent] * (auction.delay + 1), maxlen=auction.delay + 1)
-    for _ in range(auction.rounds or UNLIMITED_ROUNDS):
+    for number in range(auction.rounds or UNLIMITED_ROUNDS):
         updated = {}
         for i in [i for i in live if not now[i].is_finished]:
-            messages = on_their_way[0]
-            if loss > 0:
-                lost = rng.random(agents) < loss
-                messages = {j: bids for j, bids in messages.items() if not lost[j]}
+            lost = rng.random(agents) < loss if loss > 0 else np.zeros(agents, dtype=bool)
+            if auction.outages is not None:
+                lost |= auction.outages[number, i]
+            messages = {j: bids for j, bids in on_their_way[0].items() if not lost[j]}
             updated |= run_round(graph, {i: now[i]}, CbaaBidder.update, messages)
         if not updated:
             return
@@ -97,6 +104,8 @@ def cases(draw: st.DrawFn, most: int = 8, lossy: bool = True) -> Case:
     if lossy and draw(st.booleans()):
         loss, after = draw(st.sampled_from([0.1, 0.5])), draw(st.integers(1, 300))
         link |= {"loss": loss, "rounds": after}
+        if draw(st.booleans()):
+            link["outages"] = rng.random((after, agents, agents)) < 0.4
     return Case(score, graph, link, seed)
 
 
@@ -119,7 +128,7 @@ def test_kernel_equals_the_definition_bit_for_bit(case):
     swarm = init_state(case.score, case.graph, case.link["delay"])
     rng, played = np.random.default_rng(case.seed), 0
     for now in run_by_messages(case.auction):
-        run_rounds(swarm, 1, case.link.get("loss", 0.0), rng)
+        run_rounds(swarm, 1, case.link.get("loss", 0.0), rng, case.link.get("outages", NO_OUTAGES))
         played += 1
         for i in case.live:
             assert now[i].bids.price.tobytes() == swarm.price[i].tobytes()

@@ -9,8 +9,9 @@ from connectivity_cast import connected_poses, fly
 from dynamics.kinematic import KinematicVehicle
 from sato.check.common import find_closest_approach
 from sato.connectivity.mission import AgentLoss, Connectivity
-from sato.connectivity.settings import CommunicationLink, Potential
+from sato.connectivity.settings import Potential
 from sato.connectivity.stick import WaypointStick
+from sato.network.link import Link
 
 
 def flight(seed, **settings):
@@ -74,7 +75,7 @@ def test_swarm_stays_connected_with_lag_noise_and_message_loss():
         1,
         plant=KinematicVehicle(time_constant=0.3),
         camera_noise=0.05,
-        link=CommunicationLink(loss_probability=0.1),
+        link=Link(loss_probability=0.1),
     )
     frames = fly(rough)
     assert min(f.lambda2 for f in frames) > 0.01

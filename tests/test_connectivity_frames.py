@@ -17,8 +17,8 @@ from sato.connectivity.controller import (
 )
 from sato.connectivity.loop import Swarm
 from sato.connectivity.mission import Connectivity
-from sato.connectivity.settings import CommunicationLink
 from sato.connectivity.stick import WaypointStick
+from sato.network.link import Link
 
 TURNS = st.floats(-np.pi, np.pi)
 FEW = settings(max_examples=6, phases=[Phase.generate])  # flights are long to be made simpler
@@ -128,9 +128,7 @@ def decided(robot, known, mission):
 
 
 @pytest.mark.parametrize("robot", range(6))
-@pytest.mark.parametrize(
-    "link", [CommunicationLink(), CommunicationLink(delay_messages=2, loss_probability=0.2)]
-)
+@pytest.mark.parametrize("link", [Link(), Link(late=2, loss_probability=0.2)])
 def test_controller_reads_only_rows_of_its_own_agent(robot, link):
     whole, rng = mission(3, Camera(), camera_noise=0.02, link=link), np.random.default_rng(0)
     swarm = Swarm(whole, rng)

@@ -11,10 +11,10 @@ from sato.connectivity.mission import AgentLoss
 from sato.connectivity.settings import (
     MAX_MESSAGE_AGE,
     MAX_ROW_AGE,
-    CommunicationLink,
     Potential,
     Repulsion,
 )
+from sato.network.link import Link
 
 DEATH = 0.2  # [s]
 AHEAD = -np.pi / 4  # yaw with which the camera looks along x
@@ -87,7 +87,7 @@ def test_estimate_out_of_range_is_rejected():
 @pytest.mark.parametrize("estimator", ["flood", "exact", "power_pi"])
 @pytest.mark.parametrize("late", [0, 3])
 def test_lost_robot_is_forgotten_after_a_second(estimator, late):
-    frames = cut(dies=1, estimator=estimator, link=CommunicationLink(delay_messages=late))
+    frames = cut(dies=1, estimator=estimator, link=Link(late=late))
     alive = np.arange(4) != 1
     assert frames[0].known_agents[alive, 1].any()
     for f in frames:

@@ -23,8 +23,10 @@ from problems.interaction_graph import (
 from sato.connectivity.controller import act_on_rows, negative_slope
 from sato.connectivity.messages import exchange_messages, merge_rows
 from sato.connectivity.mission import AgentLoss, Connectivity
-from sato.connectivity.settings import CommunicationLink, Potential, Repulsion
+from sato.connectivity.settings import Potential, Repulsion
 from sato.connectivity.state import AdjacencyRows, Knowledge
+from sato.network.link import Link
+from sato.network.outages import PairOutages
 
 STEP = 0.005  # [s]
 GENTLE = Potential(strength=1e-15, of="lambda2")  # nobody gets anywhere
@@ -136,17 +138,32 @@ class Listening:
         measured = start.measurements._replace(relative_position=away)
         self.known, self.messages = start._replace(measurements=measured), deque()
 
-    def exchange(self, number, rng):
+    def exchange(self, number, rng, outages=None):
         """Exchange messages, with a velocity that says their number."""
         said = np.full((len(self.known.inbox.time), 3), float(number))
         told = self.known.measurements._replace(velocity=said, yaw_rate=-said[:, 0])
         known = self.known._replace(measurements=told)
-        exchange_messages(known, self.messages, self.mission, number, rng)
+        exchange_messages(known, self.messages, self.mission, number, rng, outages)
+
+
+def test_outages_of_links_keep_messages_out_in_both_directions():
+    link, rounds, agents = Link(outage=4 * STEP, outage_share=0.5), 3000, 5
+    rng, team = np.random.default_rng(1), Listening(agents, link)
+    outages, heard = PairOutages(team.mission.timed_link, agents, rng), []
+    for number in range(rounds):
+        team.exchange(number, rng, outages)
+        heard.append(team.known.inbox.is_new.copy())
+    heard = np.array(heard)
+    assert np.array_equal(heard, heard.transpose(0, 2, 1))
+    i, j = np.triu_indices(agents, 1)
+    assert heard[:, i, j].mean() == pytest.approx(0.5, abs=0.04)
+    silent = np.diff(np.flatnonzero(heard[:, 0, 1])).max() - 1
+    assert silent == 4 == team.mission.timed_link.outage_rounds
 
 
 @given(st.integers(1, 5), st.integers(0, 6))
 def test_messages_arrive_with_the_given_period_and_delay(every, late):
-    rng, team = np.random.default_rng(0), Listening(3, CommunicationLink(every, late))
+    rng, team = np.random.default_rng(0), Listening(3, Link(every, late))
     for number in range(40):
         team.exchange(number, rng)
         told = (number // every - late) * every
@@ -159,7 +176,7 @@ def test_messages_arrive_with_the_given_period_and_delay(every, late):
 
 
 def test_message_loss_has_the_given_rate_and_needs_visibility(rng):
-    link, rounds = CommunicationLink(loss_probability=0.1), 400
+    link, rounds = Link(loss_probability=0.1), 400
     team = Listening(6, link, hidden=[(0, 1), (1, 0), (2, 3)])  # who is seen hears too
     heard = np.zeros((6, 6))
     for number in range(rounds):

@@ -12,7 +12,6 @@ from sato.connectivity.mission import AgentLoss, Connectivity
 from sato.connectivity.obstacles import Box, Plane, RandomSpheres, Sphere, obstacle_distances
 from sato.connectivity.settings import (
     CommandLimits,
-    CommunicationLink,
     Potential,
     PowerIterationGains,
     Repulsion,
@@ -20,6 +19,7 @@ from sato.connectivity.settings import (
 )
 from sato.connectivity.start import Poses, RandomPoses
 from sato.connectivity.stick import RecordedStick, WaypointStick
+from sato.network.link import Link
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import parse, read
 
@@ -166,7 +166,7 @@ def random_mission(seed):
         repulsion=Repulsion(*numbers(0.1, 1, 1), *numbers(2, 4, 2)),
         tracking=YawTracking(*numbers(1, 20), 0.1, *numbers(0.2, 1, 2), pick(True, False)),
         limits=CommandLimits(*numbers(0.1, 9, 2)), camera_noise=rng.uniform(),
-        link=CommunicationLink(*rng.integers(1, 3, 2), rng.uniform()),
+        link=Link(*rng.integers(1, 3, 2), rng.uniform()),
         estimator=pick("flood", "exact"),
         power_iteration=PowerIterationGains(0.002, *(pick(None, g) for g in numbers(1, 9, 6))),
         plant=pick(KinematicVehicle(*numbers(0, 1, 2)), Quadrotor(*numbers(0.1, 1, 4))),
@@ -229,6 +229,11 @@ def test_drawn_mission_stays_as_it_is_when_written_and_when_drawn_again(changes)
         (("run.step_s=0.5",), r"tracking.k2: .* control step of 0.5 s: .* 0.4 would do"),
         (("link.late=10",), r"link.late: .* 0.22 s old .* may be 0.2 s.* late = 9 would do"),
         (("link.every=11",), r"link.every: .* 0.22 s old"),
+        (("link.round_s=0.1",), r"link.round_s: a round takes every × run.step_s here; leave it"),
+        (("link.skew_s=0.1",), r"link.skew_s: the ages of messages .* leave it out"),
+        (("link.outage_s=0.1",), r"link.outage_share: is 0, and outage_s is not: give both"),
+        (("link.outage_s=0.04", "outage_share=0.9"),
+         r"link.outage_share: 0.9 with outages of 1.5 rounds .* or outage_s = 0.34 would do"),
         (("obstacles.count=1001",), r"obstacles.count: "),
         (("camera.axis=[1e20, 0, 0]",), r"camera.axis: needs 3 coordinates"),
         (("estimator.kind=power_pi", "exchange_s=0.003"), r"exchange_s: 0.003 does not divide"),

@@ -9,8 +9,9 @@ from connectivity_cast import IDLE, fly, posed
 from dynamics.quadrotor import Quadrotor
 from problems.interaction_graph import Camera, interaction_graph
 from sato.connectivity.obstacles import Box, Sphere
-from sato.connectivity.settings import CommunicationLink, Potential, Repulsion, YawTracking
+from sato.connectivity.settings import Potential, Repulsion, YawTracking
 from sato.connectivity.stick import WaypointStick
+from sato.network.link import Link
 
 AHEAD = Camera(optical_axis=(1.0, 0.0, 0.0))
 STILL = {"potential": Potential(strength=0.0), "repulsion": Repulsion(strength=0.0)}
@@ -100,9 +101,9 @@ def six(**settings):
 @pytest.mark.parametrize(
     "link",
     [
-        CommunicationLink(period_steps=10),
-        CommunicationLink(period_steps=5, delay_messages=1),
-        CommunicationLink(delay_messages=9),
+        Link(period_steps=10),
+        Link(period_steps=5, late=1),
+        Link(late=9),
     ],
 )
 def test_rare_or_late_messages_keep_estimates_within_bounds(link):

@@ -1,5 +1,6 @@
 """Whole flights of small swarms: convergence in own frames, poor radio, events, gridlock."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,6 +18,7 @@ from sato.formation.settings import (
     SupervisorSettings,
 )
 from sato.formation.supervisor import Phase
+from sato.network.link import Link
 from sato.network.radio import Radio
 from sato.shapes.formation_library import load_formation
 from sato.shapes.random_points import sample_formation, sample_positions
@@ -75,6 +77,25 @@ def test_swarm_converges_with_lost_and_late_messages(seed):
     frames = fly(flight)
     assert frames[-1].phase is Phase.COMPLETED
     assert shape_error(frames[-1], flight).error <= 0.1
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_swarm_converges_where_links_are_down_half_of_the_time(seed):
+    link = Link(loss_probability=0.1, outage=0.1, outage_share=0.5)
+    flight = mission(seed, seed=seed, link=link, assignment=AssignmentSettings("cbaa"))
+    frames = fly(flight)
+    assert frames[-1].phase is Phase.COMPLETED
+    assert shape_error(frames[-1], flight).error <= 0.1
+    without = fly(replace(flight, link=Link(loss_probability=0.1)))
+    assert not np.array_equal(frames[-1].position, without[-1].position)
+
+
+def test_faults_of_the_link_are_those_of_the_radio():
+    settings = AssignmentSettings("cbaa")
+    same = {"radio": Radio(loss_probability=0.2, delay=0.1)}, {"link": Link(1, 5, 0.2)}
+    one, other = (fly(mission(0, assignment=settings, **faults)) for faults in same)
+    assert len(one) == len(other)
+    assert np.array_equal(one[-1].position, other[-1].position)
 
 
 def test_same_seed_gives_the_same_flight():

@@ -43,6 +43,7 @@ from sato.auctions.vsdaa import NO_WINNER
 from sato.network.graph import CommunicationGraph
 
 UNLIMITED_ROUNDS = 2**62  # rounds
+NO_OUTAGES = np.zeros((0, 0, 0), dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,8 @@ class CbaaAuction:
     loss: float = 0.0  # probability that a message is lost
     delay: int = 0  # rounds by which each message comes later than in the next round
     rng: np.random.Generator | None = None  # draws the lost messages
+    # True for pairs between which messages are lost that would arrive in a round.
+    outages: Bool[Array, "rounds agents agents"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse an auction that cannot end."""
@@ -94,7 +97,8 @@ class CbaaAuction:
         if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
             text = "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
             raise ValueError(f"{text}, got {loss}, {self.delay} and {rounds}")
-        if loss > 0 and (self.rng is None or rounds is None):
+        is_lossy = loss > 0 or self.outages is not None
+        if is_lossy and (self.rng is None or rounds is None):
             text = "give the number of rounds after which all stop, and the generator rng"
             raise ValueError(f"with losses no agent knows whether the others have ended: {text}")
 
@@ -129,7 +133,8 @@ def run_cbaa(auction: CbaaAuction) -> CbaaResult:
     state = init_state(auction.score, auction.graph, auction.delay)
     # Without losses nothing is drawn from the generator, whichever it is.
     rng = auction.rng or np.random.default_rng(0)
-    run_rounds(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng)
+    is_down = NO_OUTAGES if auction.outages is None else auction.outages
+    run_rounds(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng, is_down)
     return CbaaResult(
         state.point, state.finished_round, state.price, state.winner, int(state.round[0])
     )
@@ -180,7 +185,7 @@ def init_state(
 
 @njit(cache=True)
 @no_type_check
-def run_rounds(s, rounds, loss, rng):
+def run_rounds(s, rounds, loss, rng, is_down):
     """Run at most so many rounds more, until all agents know the end.
 
     Args:
@@ -189,6 +194,7 @@ def run_rounds(s, rounds, loss, rng):
         loss: Probability that a message is lost.
         rng: Generator of the losses, drawn from only where messages can be lost: once for each
             agent that does not know the end and each agent of the swarm, in order.
+        is_down: True for pairs between which messages are lost in a round; without rounds, none.
     """
     agents = len(s.is_running)
     bidders = np.count_nonzero(s.is_running) + np.count_nonzero(s.finished_round)
@@ -199,7 +205,7 @@ def run_rounds(s, rounds, loss, rng):
         slot = s.round[0] % len(s.sent_version)  # holds the oldest messages on their way
         for i in range(agents):
             if s.is_running[i]:
-                changed = _merge_inbox(i, slot, loss, rng, s)
+                changed = _merge_inbox(i, slot, loss, rng, is_down, s)
                 if s.point[i] < 0 or s.winner[i, s.point[i]] != i:
                     _place_bid(i, s)
                     changed = True
@@ -214,11 +220,12 @@ def run_rounds(s, rounds, loss, rng):
 
 @njit(cache=True)
 @no_type_check
-def _merge_inbox(i, slot, loss, rng, s):
+def _merge_inbox(i, slot, loss, rng, is_down, s):
     # Merge the messages that arrive at agent i; True where that changed what it knows.
     price, winner, changed = s.price[i], s.winner[i], False
     for a in range(len(s.is_running)):
         lost = loss > 0 and rng.random() < loss
+        lost |= len(is_down) > 0 and is_down[s.round[0] - 1, i, a]
         if lost or not s.adjacency[i, a] or s.sent_version[slot, a] <= s.seen_version[i, a]:
             continue
         s.seen_version[i, a] = s.sent_version[slot, a]

@@ -73,11 +73,15 @@ def check_sampling(mission: "Connectivity") -> None:
                 f"{terms} = {gain:g} /s is unstable at a control step of {step:g} s: an error "
                 f"becomes {1 - gain * step:.3g} times as large in each; {0.2 / step:.3g} would do",
             )
-    oldest = (link.delay_messages + 1) * link.period_steps * step
+    link.require_none(
+        round="a round takes every × run.step_s here",
+        skew="the ages of messages are told by one clock here",
+    )
+    oldest = (link.late + 1) * mission.timed_link.round
     if oldest > MAX_MESSAGE_AGE * (1 + 1e-9):
         most = max(1, int(MAX_MESSAGE_AGE / step))
         raise InputError(
-            "link.late" if link.delay_messages else "link.every",
+            "link.late" if link.late else "link.every",
             f"messages are {oldest:.3g} s old before the next one comes, and may be "
             f"{MAX_MESSAGE_AGE:g} s; every = 1 and late = {most - 1} would do",
         )

@@ -21,6 +21,7 @@ from sato.connectivity.settings import MAX_ROW_AGE
 from sato.connectivity.state import Knowledge, Message
 from sato.connectivity.yaw_estimator import wrap_angle
 from sato.network.graph import label_components
+from sato.network.outages import PairOutages
 
 CONNECTED = 1e-9  # a graph with a larger λ₂ is connected; less may be rounding
 POWER_ITERATION_WARMUP = 5.0  # time for which the power iteration runs before agents move [s]
@@ -37,6 +38,8 @@ class Swarm:
         self.alive, self.command = np.ones(n, dtype=bool), np.zeros((n, 4))
         self.known = Knowledge.at_start(mission.initial_relative_yaw, rng)
         self.messages = deque[Message]()
+        has_outages = mission.link.outage > 0
+        self.outages = PairOutages(mission.timed_link, n, rng) if has_outages else None
 
     def move(self, stick: Float[Array, " 3"]) -> None:
         """Move as commanded a step ago, and by the stick, a velocity in the world frame [m/s]."""
@@ -61,7 +64,7 @@ class Swarm:
         self.views = compute_views(self.vehicles, alive, mission)
         measured = measure(self.vehicles, self.views, alive, before, mission, rng)
         known = self.known._replace(measurements=measured)
-        known = exchange_messages(known, self.messages, mission, number, rng)
+        known = exchange_messages(known, self.messages, mission, number, rng, self.outages)
         known = known._replace(estimates=estimate_edges(known, mission, time))
         self.known = known._replace(estimates=estimate_lambda2(known, alive, mission, time))
         self.command = compute_commands(self.known, mission)
@@ -102,7 +105,7 @@ def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[Connec
 
     Args:
         mission: Drawn mission.
-        rng: Draws noise, message losses, and the first iterates of the power iteration.
+        rng: Draws noise, lost messages, outages, and the first iterates of the power iteration.
     """
     swarm, stick, waypoints_reached, was_split = Swarm(mission, rng), np.zeros(3), 0, False
     if mission.estimator == "power_pi":

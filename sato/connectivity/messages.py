@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.settings import MAX_MESSAGE_AGE
 from sato.connectivity.state import AdjacencyRows, Knowledge, Message
+from sato.network.outages import PairOutages
 
 
 def exchange_messages(
@@ -17,6 +18,7 @@ def exchange_messages(
     mission: Connectivity,
     number: int,
     rng: np.random.Generator,
+    outages: PairOutages | None = None,
 ) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
@@ -26,13 +28,14 @@ def exchange_messages(
         mission: Drawn mission.
         number: Number of the control step.
         rng: Draws losses.
+        outages: Pairs between which messages are lost; changed in place.
 
     Returns:
         What is known, with the newest rows of the adjacency matrix of those known and received.
     """
     measurements, inbox, estimates = known
     link, now = mission.link, number * mission.step
-    delay_steps = (link.delay_messages + 1) * link.period_steps - 1
+    delay_steps = (link.late + 1) * link.period_steps - 1
     is_old = inbox.time < now - MAX_MESSAGE_AGE - delay_steps * mission.step
     inbox.time[is_old], inbox.relative_position[is_old] = -np.inf, np.nan
     inbox.is_new[:] = False
@@ -41,14 +44,16 @@ def exchange_messages(
     twist = np.column_stack([measurements.velocity, measurements.yaw_rate])
     estimated = estimates.relative_yaw, estimates.is_mutual, estimates.adjacency
     on_their_way.append(Message(twist, measurements.relative_position, *estimated))
-    if len(on_their_way) <= link.delay_messages:
+    if len(on_their_way) <= link.late:
         return known
     message = on_their_way.popleft()
     hears = measurements.visibility | measurements.visibility.T
     if link.loss_probability > 0:
         hears[hears] = rng.random(hears.sum()) >= link.loss_probability
+    if outages is not None:
+        hears &= ~outages.advance()
     i, j = np.nonzero(hears)
-    inbox.time[i, j] = (number - link.delay_messages * link.period_steps) * mission.step
+    inbox.time[i, j] = (number - link.late * link.period_steps) * mission.step
     inbox.is_new[i, j] = True
     inbox.twist[i, j] = message.twist[j]
     inbox.relative_position[i, j] = message.relative_position[j, i]

@@ -18,6 +18,7 @@ from sato.connectivity import feasibility, settings
 from sato.connectivity.obstacles import Obstacles, Plane, RandomSpheres
 from sato.connectivity.start import Poses, RandomPoses, as_poses
 from sato.connectivity.stick import RecordedStick, WaypointStick
+from sato.network.link import Link
 from sato.obstacles import Box, Sphere
 from sato.scenario.definition import (
     LATER,
@@ -89,7 +90,7 @@ class Connectivity(Mission):
     limits: Annotated[settings.CommandLimits, "limits of what a robot commands"] = (
         settings.CommandLimits()
     )
-    link: Annotated[settings.CommunicationLink, "messages"] = settings.CommunicationLink()
+    link: Annotated[Link, "messages, all as late as any"] = Link()
     estimator: Annotated[
         Literal["flood", "exact", "power_pi"], In("estimator"), Key("kind"), "estimator of λ₂"
     ] = "flood"
@@ -198,6 +199,11 @@ class Connectivity(Mission):
     def gains(self) -> settings.PowerIterationGains:
         """Gains of the power iteration, with those that are not given."""
         return settings.complete_gains(self.power_iteration, self.agents)
+
+    @cached_property
+    def timed_link(self) -> Link:
+        """Link with the time that a round of messages takes."""
+        return self.link.over(self.link.period_steps * self.step)
 
     @cached_property
     def obstacle_arrays(self) -> Obstacles:

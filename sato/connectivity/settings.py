@@ -2,8 +2,6 @@
 
 from typing import Annotated, Literal, NamedTuple
 
-from annotated_types import Lt
-
 from dynamics.units import AngularRate, Key, Length, Speed, Time
 from sato.scenario.definition import LATER, NotNegative, Positive
 
@@ -60,18 +58,6 @@ class CommandLimits(NamedTuple):
 
     speed: Annotated[Speed, Positive, "largest speed"] = 3.0
     yaw_rate: Annotated[AngularRate, Key("turn"), Positive, "largest yaw rate"] = 1.5
-
-
-class CommunicationLink(NamedTuple):
-    """Period, delay and loss of messages."""
-
-    period_steps: Annotated[int, Key("every"), Positive, "control steps between two messages"] = 1
-    delay_messages: Annotated[
-        int, Key("late"), NotNegative, "messages that are sent before one arrives"
-    ] = 0
-    loss_probability: Annotated[
-        float, Key("loss"), NotNegative, Lt(1), "probability that a message is lost"
-    ] = 0.0
 
 
 Gain = Annotated[float, Positive]

@@ -17,6 +17,7 @@ from sato.formation.control_step import FormationState, Roles
 from sato.formation.mission import Formation
 from sato.formation.settings import CoordinateFrames
 from sato.network.graph import CommunicationGraph
+from sato.network.outages import PairOutages
 
 SWITCHING_INCREMENTS = 1.2  # bid increments by which an agent prefers the point that it holds
 SCORE_REGULARIZATION = 1e-8  # added to squared distances, so that no score is infinite [m²]
@@ -82,6 +83,7 @@ def assign_points(
     state: FormationState,
     roles: Roles,
     rng: np.random.Generator,
+    outages: PairOutages | None = None,
 ) -> AssignmentResult:
     """Hold an auction among the agents that hear each other now.
 
@@ -92,9 +94,10 @@ def assign_points(
         state: State of all agents, with the messages received.
         roles: Assignment until now.
         rng: Generator for lost bids.
+        outages: Those of the links in the rounds to come.
     """
     formation, agents = mission.gains[leg].formation, np.arange(mission.agents)
-    settings, radio, points = mission.assignment, mission.radio, formation.points
+    settings, link, points = mission.assignment, mission.timed_link, formation.points
     if settings.method == "hungarian":
         pose = align(points[roles.assignment], state.position)
         distance = np.linalg.norm(state.position[:, None] - pose.transform(points), axis=2)
@@ -114,11 +117,13 @@ def assign_points(
         # The formation tells the diameter of the graph and the number of bidders.
         bidders = np.full(len(agents), len(agents))
         won = run_vsdaa(VsdaaAuction(distance, network, bidders, epsilon))
-        return _unanimous_result(won.target_index, won.round_count * (1 + radio.delay_rounds))
-    loss, delay = radio.loss_probability, radio.delay_rounds
-    rounds = radio.rounds_within(settings.period) if loss > 0 else None
+        return _unanimous_result(won.target_index, won.round_count * (1 + link.late))
+    rounds = mission.radio.rounds_within(settings.period) if link.loses_messages else None
+    is_down = None if outages is None or rounds is None else outages.look_ahead(rounds)
     score = 1 / (cost + SCORE_REGULARIZATION)
-    found = run_cbaa(CbaaAuction(score, network, rounds, loss, delay, rng))
+    found = run_cbaa(
+        CbaaAuction(score, network, rounds, link.loss_probability, link.late, rng, is_down)
+    )
     # An agent that has not learned the outcome by now keeps its point until the next auction.
     knows = found.finished_round > 0
     return AssignmentResult(

@@ -33,6 +33,7 @@ from sato.formation.settings import (
     ControlLaw,
     CoordinateFrames,
 )
+from sato.network.outages import PairOutages
 
 MAX_WANDERS = 8  # after which wandering takes no longer
 
@@ -61,16 +62,16 @@ class StepParameters(NamedTuple):
     @classmethod
     def for_leg(cls, mission: Formation, leg: int) -> "StepParameters":
         """Collect the constants of a leg of a drawn mission."""
-        radio, noise = mission.radio, mission.frames.noise
+        link, noise = mission.timed_link, mission.frames.noise
         same = {name: getattr(mission, name) for name in cls._fields[1:10]}
         return cls(
             FormationData.from_gains(mission.gains[leg]),
             **same,
             noise=noise,
             track_gains=compute_track_gains(noise, mission.max_acceleration, mission.step),
-            steps_per_message=max(1, round(1 / (radio.message_rate * mission.step))),
-            message_delay=radio.delay_rounds,
-            message_loss=radio.loss_probability,
+            steps_per_message=max(1, round(link.round / mission.step)),
+            message_delay=link.late,
+            message_loss=link.loss_probability,
         )
 
 
@@ -146,6 +147,7 @@ def simulate_steps(
     first: int,
     steps: int,
     rng: Generator,
+    outages: PairOutages | None = None,
 ) -> None:
     """Simulate some control steps.
 
@@ -157,12 +159,13 @@ def simulate_steps(
         first: Number of the first of these control steps.
         steps: Number of control steps.
         rng: Generator for noise, wandering and lost messages.
+        outages: Those of the links, changed in place.
     """
     for number in range(first, first + steps):
         measure_own_positions(state, swarm, rng)
         message, rest = divmod(number, swarm.steps_per_message)
         if rest == 0:
-            exchange_positions(state, neighbors, swarm, message, rng)
+            exchange_positions(state, neighbors, swarm, message, rng, outages)
         _command(state, roles, neighbors, swarm)
         _update_velocities(state, swarm, rng)
         v = state.velocity

@@ -64,14 +64,29 @@ def check_messages(mission: "Formation") -> None:
     Raises:
         InputError: It is one of these.
     """
-    rate, loss, step = mission.radio.message_rate, mission.radio.loss_probability, mission.step
+    radio, link, step = mission.radio, mission.link, mission.step
+    rate = radio.message_rate
+    link.require_none(
+        period_steps="radio.rate_hz says how often messages are sent here",
+        round="a round takes 1 / radio.rate_hz here",
+        skew="no clock is compared with another here",
+    )
+    for key, same, is_twice in (
+        ("loss", "loss", link.loss_probability > 0 and radio.loss_probability > 0),
+        ("late", "delay_s", link.late > 0 and radio.delay > 0),
+    ):
+        if is_twice:
+            reason = f"is given beside radio.{same}, which says the same; one of the two is enough"
+            raise InputError(f"link.{key}", reason)
     steps = 1 / (rate * step)
     whole = max(1, round(steps))
     if abs(steps - whole) > 1e-6 * whole:
         text = f"{rate:g} messages a second do not fall on control steps of {step:g} s"
         raise InputError("radio.rate_hz", f"{text}; {1 / (whole * step):.6g} would do")
-    if mission.assignment.method == "vsdaa" and loss > 0:
-        text = f'"vsdaa" needs every message, and a share of {loss:g} is lost; "cbaa" would do'
+    if mission.assignment.method == "vsdaa" and mission.timed_link.loses_messages:
+        loss, share = mission.timed_link.loss_probability, link.outage_share
+        lost = 1 - (1 - loss) * (1 - share)
+        text = f'"vsdaa" needs every message, and a share of {lost:g} is lost; "cbaa" would do'
         raise InputError("assignment.kind", text)
 
 

@@ -12,6 +12,7 @@ from sato.formation.control_step import FormationState, Roles, StepParameters, s
 from sato.formation.mission import Formation
 from sato.formation.supervisor import FlightCourse, Phase, find_blocked
 from sato.interfaces import Alive, Component, Events, Indices, Position, Time, Vectors, Velocity
+from sato.network.outages import PairOutages
 
 
 class FormationFrame(NamedTuple):
@@ -46,8 +47,9 @@ def simulate(mission: Formation, rng: np.random.Generator) -> Iterator[Formation
 class _Simulation(FlightCourse):
     def __init__(self, mission: Formation, rng: np.random.Generator) -> None:
         super().__init__(mission)
-        self.rng = rng
-        self.state = FormationState.at_rest(mission.initial_positions, mission.radio.delay_rounds)
+        self.rng, link = rng, mission.timed_link
+        self.outages = PairOutages(link, mission.agents, rng) if link.outage else None
+        self.state = FormationState.at_rest(mission.initial_positions, link.late)
         self.start_leg()
 
     def start_leg(self) -> None:
@@ -61,8 +63,9 @@ class _Simulation(FlightCourse):
         self.state.begin_way(points)
 
     def hold_auction(self) -> int:
+        known = self.state, self.roles
         self.outcome = assign_points(
-            self.mission, self.leg, self.auction_count, self.state, self.roles, self.rng
+            self.mission, self.leg, self.auction_count, *known, self.rng, self.outages
         )
         self.auction_count += 1
         return self.outcome.rounds
@@ -85,7 +88,8 @@ class _Simulation(FlightCourse):
                 velocity = np.array(command.velocity)
                 roles = roles._replace(commanded_agent=command.agent, operator_velocity=velocity)
         first = self.instant * steps
-        simulate_steps(state, roles, self.neighbors, self.parameters, first, steps, self.rng)
+        constants = self.neighbors, self.parameters
+        simulate_steps(state, roles, *constants, first, steps, self.rng, self.outages)
         return state.velocity_command, find_blocked(self.mission, state.velocity, state.avoiding)
 
     def frames(self) -> Iterator[FormationFrame]:

@@ -23,6 +23,7 @@ from sato.formation.settings import (
     SupervisorSettings,
 )
 from sato.formation.start import AnyStart, draw_start, place_level
+from sato.network.link import Link
 from sato.network.radio import Radio
 from sato.scenario.definition import LATER, Convert, In, Key, Positive, errors_in, map_numbered
 from sato.scenario.file import Mission
@@ -66,6 +67,7 @@ class Formation(Mission):
     assignment: Annotated[AssignmentSettings, "assignment of points"] = AssignmentSettings()
     frames: Annotated[FrameSettings, "coordinate frames and sensors"] = FrameSettings()
     radio: Annotated[Radio, "messages"] = Radio()
+    link: Annotated[Link, "faults of messages, in rounds of the radio"] = Link()
     supervision: Annotated[SupervisorSettings, Key("protocol"), "convergence and gridlock"] = (
         SupervisorSettings()
     )
@@ -132,6 +134,14 @@ class Formation(Mission):
         with errors_in("leg"):
             legs = map_numbered(lambda leg: leg.without_files(self.agents), self.legs)
         return replace(self, start=start, legs=legs)
+
+    @cached_property
+    def timed_link(self) -> Link:
+        """Link with the faults that the radio has, and the time that a round of it takes."""
+        radio, link = self.radio, self.link
+        loss = link.loss_probability or radio.loss_probability
+        both = replace(link, loss_probability=loss, late=link.late or radio.delay_rounds)
+        return both.over(1 / radio.message_rate)
 
     @cached_property
     def initial_positions(self) -> Float[Array, "agents 3"]:

@@ -14,6 +14,7 @@ from numpy.random import Generator
 if TYPE_CHECKING:
     from sato.formation.control_step import FormationState, StepParameters
     from sato.formation.settings import CoordinateFrames
+    from sato.network.outages import PairOutages
 
 
 class Neighbors(NamedTuple):
@@ -95,6 +96,7 @@ def exchange_positions(
     swarm: "StepParameters",
     message: int,
     rng: Generator,
+    outages: "PairOutages | None" = None,
 ) -> None:
     """Send each agent's position to the agents that hold the neighboring points."""
     ring = len(state.sent)
@@ -103,6 +105,8 @@ def exchange_positions(
     is_heard = neighbors.is_there
     if swarm.message_loss > 0:
         is_heard = is_heard & (rng.random(is_heard.shape) >= swarm.message_loss)
+    if outages is not None:
+        is_heard = is_heard & ~outages.advance().ravel()[neighbors.pair]
     pair, j = neighbors.pair[is_heard], neighbors.holder[is_heard]
     state.received_flat.ravel()[pair] = as_complex(arriving)[j]
     state.received_height.ravel()[pair] = arriving[j, 2]

@@ -1,6 +1,6 @@
 """Radio link between two agents: losses, delays, outages, and the time that a round takes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Annotated, Any
 
@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Lt
 
 from dynamics.units import Time
-from sato.scenario.definition import Definition, Key, NotNegative, Positive
+from sato.scenario.definition import Definition, Key, NotNegative, Positive, errors_in, fields_of
 from sato.scenario.errors import InputError
 
 UNHEARD_PROBABILITY = 1e-9  # that all repetitions of a message are lost
@@ -34,8 +34,28 @@ class Link(Definition):
     skew: Annotated[Time, NotNegative, "largest difference between two clocks"] = 0.0
     round: Annotated[Time, NotNegative, "time that a round of messages takes"] = 0.0
 
+    def over(self, round: float) -> "Link":
+        """Return the link where a round takes so long [s].
+
+        Raises:
+            InputError: Outages leave no time between two of them.
+        """
+        with errors_in("link"):
+            return replace(self, round=round)
+
+    def require_none(self, **reasons: str) -> None:
+        """Refuse what has no meaning in a system, by the names of fields.
+
+        Raises:
+            InputError: It is given; says why it has none.
+        """
+        for field in fields_of(Link):
+            if field.name in reasons and getattr(self, field.name) != field.default:
+                reason = f"{reasons[field.name]}; leave it out"
+                raise InputError(f"link.{field.key}", reason)
+
     def check(self) -> None:
-        """Refuse outages without a length, or without a time that rounds take.
+        """Refuse outages without a length, or without time between two of them.
 
         Raises:
             InputError: There are; says what would do.
@@ -45,12 +65,9 @@ class Link(Definition):
                 ("outage_share", "outage_s") if self.outage else ("outage_s", "outage_share")
             )
             raise InputError(lacks, f"is 0, and {has} is not: give both, or neither")
-        if self.outage > 0 and self.round == 0:
-            reason = f"is 0, and outages of {self.outage:g} s are counted in rounds"
-            raise InputError("round_s", f"{reason}; a time that rounds take would do")
-        if self.outage_share > 0 and self.mean_up_rounds < 1:
+        if self.outage > 0 and self.round > 0 and self.mean_up_rounds < 1 - 1e-9:
             mean, share = (self.outage_rounds + 1) / 2, self.outage_share
-            least = ceil(2 * share / (1 - share)) * self.round
+            least = ceil(2 * share / (1 - share) - 1 - 1e-9) * self.round
             raise InputError(
                 "outage_share",
                 f"{share:g} with outages of {mean:g} rounds leaves less than a round between two; "
@@ -64,9 +81,14 @@ class Link(Definition):
         return not any((*faults, self.round))
 
     @property
+    def loses_messages(self) -> bool:
+        """True where some messages never arrive."""
+        return self.loss_probability > 0 or self.outage > 0
+
+    @property
     def outage_rounds(self) -> int:
-        """Rounds of the longest outage."""
-        return ceil(self.outage / self.round - 1e-9) if self.outage else 0
+        """Rounds of the longest outage; 0 where rounds take no time."""
+        return ceil(self.outage / self.round - 1e-9) if self.outage and self.round else 0
 
     @property
     def mean_up_rounds(self) -> float:

@@ -99,7 +99,7 @@ def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
     yield expect_below("turn", rate, limits.yaw_rate, TOLERANCE, "rad/s commanded at most")
     mission, link = record.mission, record.mission.link
     disturbances = (
-        mission.camera_noise, record.noise_std, link.loss_probability, link.delay_messages,
+        mission.camera_noise, record.noise_std, link.loses_messages, link.late,
         mission.occlusion, mission.losses,
     )  # fmt: skip
     if (

@@ -173,7 +173,7 @@ def check_assignment_is_unique(record: FormationRecord) -> Promise:
     the outcome of an auction keeps its point until the next.
     """
     held = record.frames.point_index
-    if record.mission.radio.loss_probability > 0:
+    if record.mission.timed_link.loses_messages:
         held = held[[leg.end_instant for leg in record.replay.legs if leg.completed]]
     odd = (np.sort(held, axis=1) != np.arange(held.shape[1])).any(axis=1)
     return expect_none("points", odd, "instants at which two hold one point")
