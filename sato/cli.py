@@ -84,6 +84,13 @@ def run(
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder; runs/NAME-SEED.")] = None,
     override: Overrides = None,
     quiet: Annotated[bool, Option("--quiet", help="Print errors and warnings only.")] = False,
+    processes: Annotated[
+        bool, Option("--processes", help="Each vehicle a process, in lock step.")
+    ] = False,
+    free_running: Annotated[
+        bool, Option("--free-running", help="Each vehicle a process, by the clock.")
+    ] = False,
+    port: Annotated[int | None, Option(help="Port of processes; any that is free.")] = None,
 ) -> None:
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
     from sato.console import print_summary
@@ -92,7 +99,14 @@ def run(
     name = sato.read(scenario, override or ()).name
     folder = out or Path("runs", f"{name}-{seed}")
     ensure_writable(folder)
-    flown = sato.run(scenario, seed=seed, overrides=override or (), progress=not quiet)
+    flown = sato.run(
+        scenario,
+        seed=seed,
+        overrides=override or (),
+        progress=not quiet,
+        processes="free-running" if free_running else "lock-step" if processes else None,
+        port=port,
+    )
     is_old = (folder / RUN_FILE).exists()
     save_somewhere(flown, folder)
     if is_old and not quiet:
@@ -102,6 +116,17 @@ def run(
         print_summary(summary, folder)
     is_success = summary.get("success") and summary.get("broken") == []
     raise Exit(EXIT_OK if is_success and "stopped" not in summary else EXIT_FAILED)
+
+
+@app.command()
+def vehicle(
+    number: Annotated[int, Argument(metavar="NUMBER", min=0, help="Of the vehicle.")],
+    port: Annotated[int, Option(help="Port at which `sato run --processes` listens.")],
+) -> None:
+    """Start the process of a vehicle whose own was killed; it joins the flight."""
+    from sato.processes.vehicle import run_vehicle
+
+    run_vehicle(port, number)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -162,6 +162,8 @@ def run(
     seed: int = 0,
     overrides: Iterable[str] = (),
     progress: bool | FrameCallback | None = None,
+    processes: Literal["lock-step", "free-running"] | None = None,
+    port: int | None = None,
 ) -> Run:
     """Fly a mission and check the run.
 
@@ -176,6 +178,9 @@ def run(
         overrides: Each "table.key=value"; not with a mission.
         progress: True shows a progress bar; a function is called with the drawn mission and
             each frame.
+        processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
+            free running. In a script this stands below `if __name__ == "__main__":`.
+        port: Port of the loopback interface by which processes talk; any that is free by default.
 
     Raises:
         ValueError: The scenario cannot be flown; nothing was.
@@ -186,6 +191,11 @@ def run(
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
+        if processes is not None:
+            from sato.processes.flight import as_processes, print_line
+
+            own = (print_line,) if progress is True else ()
+            system = as_processes(system, mission, int(seed), processes, port, *own)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
         callback = progress if callable(progress) else (lambda mission, frame: None)

@@ -139,7 +139,8 @@ def _redraw_changes(
     # Joins and losses at an instant of a leg, which change `alive` and `waiting` in place.
     mission, at_step = record.mission, k - leg.start_index
     waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
-    known = [i for at, event in record.events.of_kind("join") if at == k for i in event["agents"]]
+    joins = record.events.of_kind("join")
+    known = [i for at, event in joins if at == k for i in event["agents"]]
     joined = list[int]()
     for i in waiting:  # one after another, as later ones wait for those
         if i in known or _has_room(record, k, i, alive):
@@ -153,4 +154,9 @@ def _redraw_changes(
             lost = draw_losses(loss, record.frames.position[k], alive, rng)
             alive[lost] = False
             changes += [(k, "loss", i) for i in lost]
+    # A process that ends, or is started again, is believed.
+    for at, event in record.events.of_kind("loss", "join"):
+        if at == k and event.get("cause") == "process":
+            alive[event["agents"]] = event["kind"] == "join"
+            changes += [(k, event["kind"], i) for i in event["agents"]]
     return changes

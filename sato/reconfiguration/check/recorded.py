@@ -134,7 +134,8 @@ class ReconfigurationRecord(
 
     def _read_leg(self, leg: int, start: int, end: int, event: dict[str, Any] | None) -> LegRecord:
         frames, end = self.frames, max(start, end)
-        entry = start + np.argmax(frames.alive[start:], axis=0)
+        enters = np.diff(frames.alive[start : end + 1].astype(int), axis=0, prepend=0) > 0
+        entry = end - np.argmax(enters[::-1], axis=0)  # the last time
         if event is None:
             alive, targets = frames.alive[end], frames.target_index[end]
             counts, component = np.zeros_like(targets), frames.component[end]

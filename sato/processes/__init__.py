@@ -1,0 +1,1 @@
+"""Vehicles of a reconfiguration as processes of the operating system, and the world they fly in."""

@@ -1,0 +1,219 @@
+"""Encoding of messages: plain values, arrays, and named tuples and dataclasses of a fixed list.
+
+A value is a byte that tells its type, and its content; lengths and numbers are little-endian. An
+array is its type, its shape and its numbers as they are in memory. A named tuple or dataclass is
+its place in the list of types, and its fields in order. Nothing else is ever made of what arrives:
+no function is called by name, as a pickle can ask for.
+"""
+
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+# Types that vehicles and the world send each other. Both ends have the same version.
+TYPES = """
+    problems.drifts:Drifts
+    problems.obstacle_paths:ObstaclePaths
+    sato.auctions.bidder:WinningBids
+    sato.network.flooding:CensusMessage
+    sato.obstacles:Box
+    sato.obstacles:Ellipsoid
+    sato.obstacles:Polytope
+    sato.obstacles:Sphere
+    sato.processes.messages:Briefing
+    sato.processes.messages:Call
+    sato.processes.messages:Fault
+    sato.processes.messages:Hearing
+    sato.processes.messages:Reply
+    sato.processes.messages:Status
+    sato.reconfiguration.agent_inputs:AgentMessage
+    sato.reconfiguration.agent_stages:AuctionReport
+    sato.reconfiguration.agent_stages:AuctionTerms
+    sato.reconfiguration.agent_stages:BiddingMessage
+    sato.reconfiguration.agent_stages:ChoiceReport
+    sato.reconfiguration.agent_stages:CommittedMessage
+    sato.reconfiguration.agent_stages:ExchangeMessage
+    sato.reconfiguration.agent_stages:ExchangeReport
+    sato.reconfiguration.agent_stages:OfferMessage
+    sato.reconfiguration.census:Hello
+    sato.reconfiguration.evasion:EvasionReport
+    sato.reconfiguration.halfway_stages:BendingMessage
+    sato.reconfiguration.stopping:Commitment
+    sato.scp.bending:PathMessage
+    sato.scp.planner:TrajectoryMessage
+""".split()
+
+MAX_DEPTH = 32  # of values within values
+NUMBERS = "<f8 <f4 <i8 <i4 <i2 |i1 |u1 |b1".split()  # types of arrays
+
+
+class CodecError(ValueError):
+    """A value that cannot be sent, or bytes that are no message."""
+
+
+def encode(value: Any) -> bytes:
+    """Encode a value.
+
+    Raises:
+        CodecError: It, or a part of it, has a type that is not on the list.
+    """
+    out = bytearray()
+    _write(out, value)
+    return bytes(out)
+
+
+def decode(data: bytes) -> Any:
+    """Decode a value.
+
+    Raises:
+        CodecError: The bytes are none.
+    """
+    reader = _Reader(data)
+    try:
+        value = reader.read_value(0)
+    except CodecError:
+        raise
+    except (ValueError, TypeError, struct.error, OverflowError, MemoryError) as error:
+        raise CodecError(f"is no message: {error}") from error
+    if reader.place != len(data):
+        raise CodecError(f"is no message: {len(data) - reader.place} bytes follow its end")
+    return value
+
+
+@cache
+def _registry() -> tuple[dict[type, int], tuple[type, ...]]:
+    kinds = tuple(resolve_name(name) for name in TYPES)
+    return {kind: n for n, kind in enumerate(kinds)}, kinds
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    if is_dataclass(kind):
+        return tuple(field.name for field in fields(kind))
+    return tuple(getattr(kind, "_fields"))  # noqa: B009
+
+
+def _write(out: bytearray, value: Any) -> None:
+    place = _registry()[0].get(type(value))
+    if place is not None:
+        out += struct.pack("<cB", b"r", place)
+        for name in _field_names(_registry()[1][place]):
+            _write(out, getattr(value, name))
+    elif value is None or isinstance(value, bool | np.bool_):
+        out += b"n" if value is None else b"T" if value else b"F"
+    elif isinstance(value, int | np.integer):
+        out += struct.pack("<cq", b"i", value)
+    elif isinstance(value, float):
+        out += struct.pack("<cd", b"f", value)
+    elif isinstance(value, str):
+        _write_bytes(out, b"s", value.encode())
+    elif isinstance(value, bytes):
+        _write_bytes(out, b"b", value)
+    elif isinstance(value, Array):
+        _write_array(out, value)
+    elif type(value) is tuple:
+        _write_each(out, b"t", value)
+    elif type(value) is list:
+        _write_each(out, b"l", value)
+    elif type(value) is frozenset:
+        _write_each(out, b"z", value)
+    elif type(value) is dict:
+        _write_each(out, b"d", [part for pair in value.items() for part in pair])
+    else:
+        raise CodecError(f"a {type(value).__name__} cannot be sent: it is on no list of types")
+
+
+def _write_bytes(out: bytearray, tag: bytes, content: bytes) -> None:
+    out += struct.pack("<cI", tag, len(content)) + content
+
+
+def _write_each(out: bytearray, tag: bytes, values: Any) -> None:
+    out += struct.pack("<cI", tag, len(values))
+    for value in values:
+        _write(out, value)
+
+
+def _write_array(out: bytearray, value: Array) -> None:
+    kind = value.dtype.newbyteorder("<").str
+    if kind not in NUMBERS:
+        raise CodecError(f"an array of {value.dtype} cannot be sent")
+    out += struct.pack(f"<cBB{value.ndim}I", b"a", NUMBERS.index(kind), value.ndim, *value.shape)
+    out += value.astype(kind, copy=False).tobytes()
+
+
+class _Reader:
+    """Bytes of a message, and the place up to which they are read."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.place = data, 0
+
+    def read_value(self, depth: int) -> Any:
+        """Read a value that is so deep within others."""
+        if depth > MAX_DEPTH:
+            raise CodecError(f"is no message: it is deeper than {MAX_DEPTH} values")
+        (tag,) = self._unpack("<c")
+        if tag in _SIMPLE:
+            return _SIMPLE[tag]
+        if tag in b"if":
+            return self._unpack("<q" if tag == b"i" else "<d")[0]
+        if tag == b"a":
+            return self._read_array()
+        if tag == b"r":
+            return self._read_record(depth)
+        if tag not in _COUNTED:
+            raise CodecError(f"is no message: no type has the mark {tag!r}")
+        (count,) = self._unpack("<I")
+        if tag in b"sb":
+            content = self._take(count)
+            return content.decode() if tag == b"s" else content
+        return _COUNTED[tag](self.read_value(depth + 1) for _ in range(count))
+
+    def _read_record(self, depth: int) -> Any:
+        (place,) = self._unpack("<B")
+        kinds = _registry()[1]
+        if place >= len(kinds):
+            raise CodecError(f"is no message: no type has the number {place}")
+        names = _field_names(kinds[place])
+        return kinds[place](**{name: self.read_value(depth + 1) for name in names})
+
+    def _read_array(self) -> Array:
+        kind, axes = self._unpack("<BB")
+        if kind >= len(NUMBERS):
+            raise CodecError(f"is no message: no array has the type {kind}")
+        shape, dtype = self._unpack(f"<{axes}I"), np.dtype(NUMBERS[kind])
+        count = 1
+        for length in shape:
+            count *= length
+        return np.frombuffer(self._take(count * dtype.itemsize), dtype).reshape(shape).copy()
+
+    def _unpack(self, format: str) -> tuple[Any, ...]:
+        return struct.unpack(format, self._take(struct.calcsize(format)))
+
+    def _take(self, count: int) -> bytes:
+        after = self.place + count
+        if after > len(self.data):
+            raise CodecError("is no message: it ends too soon")
+        taken, self.place = self.data[self.place : after], after
+        return taken
+
+
+def _pair_up(values: Iterable[Any]) -> dict[Any, Any]:
+    each = list(values)
+    return dict(zip(each[::2], each[1::2], strict=True))
+
+
+_SIMPLE = {b"n": None, b"T": True, b"F": False}
+_COUNTED: dict[bytes, Callable[[Iterable[Any]], Any]] = {
+    b"s": str,
+    b"b": bytes,
+    b"t": tuple,
+    b"l": list,
+    b"z": frozenset,
+    b"d": _pair_up,
+}

@@ -1,0 +1,159 @@
+"""Processes of all vehicles: their start, what they say, and their end."""
+
+import multiprocessing
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from time import monotonic
+from types import TracebackType
+from typing import Any
+
+from sato.processes.messages import Fault, Hearing
+from sato.processes.network import Connection, find_port, load_zenoh
+from sato.processes.vehicle import run_vehicle
+from sato.scenario.errors import InputError
+from sato.scenario.ranges import machine_memory
+
+MAX_VEHICLES = 16
+PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
+START_TIME = 60.0  # within which all processes are there [s]
+LOOK_INTERVAL = 0.1  # at which the world looks whether processes are there [s]
+PRELOADED = ["sato.processes.vehicle"]  # by the process from which the others are forked
+MEMINFO = Path("/proc/meminfo")
+
+
+class VehicleError(RuntimeError):
+    """A vehicle that cannot go on."""
+
+
+class Fleet:
+    """Processes of all vehicles, and the connection of the world to them.
+
+    A process that the user starts for a vehicle, by `sato vehicle`, is one of them.
+    """
+
+    def __init__(self, port: int | None = None) -> None:
+        """Listen for vehicles at a port, or any that is free.
+
+        Raises:
+            InputError: Zenoh is not installed, or the port is in use.
+        """
+        load_zenoh()
+        self.port = find_port(port)
+        self.processes: dict[int, Any] = {}  # those that were started here
+        self.ids: dict[int, int] = {}  # of all that were heard, to the operating system
+        self.new: list[int] = []  # that ask for a mission
+        self.gone: set[int] = set()  # that have ended, and of which nobody has taken note
+        self._connection = Connection(self.port)
+        self._connection.watch("*", self._note_end)
+
+    def __enter__(self) -> "Fleet":
+        """Return the same."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End all processes, also those that are paused."""
+        for process in self.processes.values():
+            process.kill()
+        for process in self.processes.values():
+            process.join()
+        self._connection.close()
+
+    def _note_end(self, number: str) -> None:
+        if number.isdecimal():
+            self.gone.add(int(number))
+
+    def start(self, numbers: Iterable[int]) -> None:
+        """Start the processes of some vehicles, and wait until all are there.
+
+        Raises:
+            InputError: They take more memory than there is.
+            VehicleError: One ends before it is there, or all take too long.
+        """
+        each = list(numbers)
+        check_memory(len(each))
+        context = _context()
+        for i in each:
+            process = context.Process(target=run_vehicle, args=(self.port, i), daemon=True)
+            process.start()
+            self.processes[i] = process
+        until = monotonic() + START_TIME
+        while not set(each) <= set(self.new):
+            self.receive()
+            for i in each:
+                if not self.processes[i].is_alive():
+                    code = self.processes[i].exitcode
+                    raise VehicleError(f"the process of vehicle {i} has ended with code {code}")
+            if monotonic() > until:
+                raise VehicleError(f"the processes were not there within {START_TIME:g} s")
+
+    def take_new(self) -> list[int]:
+        """Return the vehicles that ask for a mission, each once."""
+        found, self.new = sorted(set(self.new)), []
+        return found
+
+    def take_gone(self) -> list[int]:
+        """Return the vehicles that have ended, each once."""
+        found = sorted(self.gone)
+        self.gone.difference_update(found)
+        return found
+
+    def send(self, number: int, value: Any) -> None:
+        """Send a value to a vehicle."""
+        self._connection.send(number, value)
+
+    def receive(self, timeout: float = LOOK_INTERVAL) -> tuple[int, Any] | None:
+        """Return the next value of a vehicle, and its number; None if there is none in a time [s].
+
+        Raises:
+            VehicleError: A vehicle cannot go on.
+        """
+        received = self._connection.receive(timeout)
+        if received is None:
+            return None
+        with suppress(ValueError):
+            number, value = int(received[0]), received[1]
+            if isinstance(value, Hearing):
+                self.new.append(number)
+                self.ids[number] = value.process
+                return None
+            if isinstance(value, Fault):
+                raise VehicleError(f"vehicle {number}: {value.text}")
+            return number, value
+        return None
+
+
+def check_memory(count: int) -> None:
+    """Refuse more processes than memory allows.
+
+    Raises:
+        InputError: They take more than is free.
+    """
+    free = _free_memory()
+    fits = int(free // PROCESS_MEMORY)
+    if count > fits:
+        need, there = count * PROCESS_MEMORY / 1e9, free / 1e9
+        reason = f"{count} processes take about {need:.1f} GB of memory, and {there:.1f} GB is free"
+        raise InputError("swarm.agents", f"{reason}; {max(fits, 1)} would do")
+
+
+def _free_memory() -> float:
+    with suppress(OSError, StopIteration):
+        lines = MEMINFO.read_text().splitlines()
+        text = next(line for line in lines if line.startswith("MemAvailable"))
+        return min(float(text.split()[1]) * 1024, machine_memory())
+    return machine_memory()
+
+
+def _context() -> Any:
+    # Forking takes a tenth of a second, and libraries are loaded once.
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    return context

@@ -1,0 +1,93 @@
+"""Flight of a mission by processes, as `sato.run` flies and records it."""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from sato.interfaces import System
+from sato.processes.fleet import MAX_VEHICLES, Fleet, VehicleError, check_memory
+from sato.processes.lock_step import LockStep
+from sato.processes.network import load_zenoh
+from sato.processes.world import World
+from sato.reconfiguration.agent_inputs import check_agent
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.state import ReconfigurationFrame
+from sato.scenario.errors import InputError
+from sato.scenario.file import parse
+
+Mode = Literal["lock-step", "free-running"]
+
+
+def as_processes(
+    system: System[Any, Any],
+    mission: Any,
+    seed: int,
+    mode: Mode,
+    port: int | None = None,
+    announce: Callable[[str], object] = lambda text: None,
+) -> System[Any, Any]:
+    """Return a system that flies a mission with a process for each vehicle.
+
+    Args:
+        system: System of the mission.
+        mission: Mission, not drawn.
+        seed: Seed with which it is drawn.
+        mode: In lock step, or free running.
+        port: At which the world listens; any that is free by default.
+        announce: Called with a sentence on the processes, once all are there.
+
+    Raises:
+        InputError: The mission cannot be flown so; says what would do.
+    """
+    if not isinstance(mission, Reconfiguration):
+        reason = "flies no vehicles as processes; a reconfiguration would do"
+        raise InputError("system", f'"{system.name}" {reason}')
+    load_zenoh()
+    scenario = mission.to_toml()
+    if '[model]\nkind = "own"\n' in scenario:
+        raise InputError("model", "of your own cannot be sent to a process; one of a file would do")
+    parse(scenario)
+
+    def simulate(
+        drawn: Reconfiguration, rng: np.random.Generator
+    ) -> Iterator[ReconfigurationFrame]:
+        check_vehicles(drawn)
+        with Fleet(port) as fleet:
+            flight = LockStep(World(drawn, rng), fleet, scenario, seed)
+            for k, frame in enumerate(flight.fly()):
+                if k == 0:
+                    announce(describe(fleet))
+                yield frame
+
+    return replace(system, simulate=simulate, stop_errors=(*system.stop_errors, VehicleError))
+
+
+def check_vehicles(mission: Reconfiguration) -> None:
+    """Refuse a drawn mission with too many vehicles, or one that no agent can fly.
+
+    Raises:
+        InputError: It is; says what would do.
+    """
+    count = len(mission.initial_states)
+    if count > MAX_VEHICLES:
+        reason = f"{count} vehicles are too many for a process each; {MAX_VEHICLES} would do"
+        raise InputError("swarm.agents", reason)
+    try:
+        check_agent(mission, 0)
+    except ValueError as error:
+        raise InputError("", str(error)) from error
+    check_memory(count)
+
+
+def describe(fleet: Fleet) -> str:
+    """Describe the processes: their numbers to the operating system, and the port."""
+    each = ", ".join(f"{i}: {fleet.ids[i]}" for i in sorted(fleet.ids))
+    return f"processes of the vehicles: {each}; the world listens at port {fleet.port}"
+
+
+def print_line(text: str) -> None:
+    """Print a line on the error stream."""
+    print(text, file=sys.stderr)

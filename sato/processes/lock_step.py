@@ -1,0 +1,111 @@
+"""Flight of vehicles that are processes, in lock step: a barrier each round of messages."""
+
+from collections.abc import Iterator
+
+from numpy import ndarray as Array
+
+from sato.processes.fleet import Fleet
+from sato.processes.messages import Briefing, Call, Reply, Status
+from sato.processes.world import World
+from sato.reconfiguration.disturbances import measure
+from sato.reconfiguration.leg import MAX_LEG_FACTOR
+from sato.reconfiguration.state import ReconfigurationFrame
+
+
+class LockStep:
+    """Flight in which no vehicle goes on before all have acted in a round.
+
+    A paused process is waited for. One that ends is a loss; if others were about to decide with it,
+    they begin their decision again without it, for no time has passed.
+    """
+
+    def __init__(self, world: World, fleet: Fleet, scenario: str, seed: int) -> None:
+        self.world, self.fleet = world, fleet
+        self.scenario, self.seed, self._serial = scenario, seed, 0
+
+    def fly(self) -> Iterator[ReconfigurationFrame]:
+        """Fly all legs; yield a frame at every control instant."""
+        self._admit(self.world.live, None)
+        for number in range(len(self.world.mission.legs)):
+            self.world.begin_leg(number)
+            yield from self._fly_leg()
+        yield self.world.make_frame()
+
+    def _fly_leg(self) -> Iterator[ReconfigurationFrame]:
+        world = self.world
+        most = MAX_LEG_FACTOR * world.mission.legs[world.leg_index].steps
+        while True:
+            self._note_processes()
+            joined = world.lose_and_join()
+            self._admit(joined, world.leg_start * world.mission.step)
+            is_given_up = world.leg_step == most
+            if is_given_up or (world.leg_step > 0 and world.have_arrived()):
+                world.end_leg(is_given_up)
+                return
+            measured = measure(world.mission, world.x, world.rng)
+            control = world.take_reports(self._decide(measured))
+            applied = world.disturb(control)
+            yield world.make_frame(control, applied, measured)
+            world.fly(control, applied)
+
+    def _note_processes(self) -> None:
+        """Note the processes that have ended, and those that were started again."""
+        while self.fleet.receive(timeout=0.0) is not None:
+            pass
+        self.world.lose(self.fleet.take_gone())
+        for i in self.fleet.take_new():
+            self.world.restart(i)
+
+    def _admit(self, agents: list[int], leg_start: float | None) -> None:
+        """Start the processes of vehicles that are not there yet, and give all their mission."""
+        self.fleet.start(i for i in agents if i not in self.fleet.ids)
+        self.fleet.take_new()
+        for i in agents:
+            briefing = Briefing(self.scenario, self.seed, self.world.leg_index, leg_start)
+            self.fleet.send(i, briefing)
+
+    def _decide(self, measured: Array) -> dict[int, Status]:
+        """Let all decide in rounds of messages; return what they report."""
+        world = self.world
+        while True:
+            graph, seen = world.connect(), world.look_around()
+            sent: dict[int, bytes] = {}
+            reports: dict[int, Status] = {}
+            while world.alive.any() and (not sent or sent.keys() != reports.keys()):
+                self._serial += 1
+                calls = {
+                    i: Call(
+                        serial=self._serial,
+                        leg=world.leg_index,
+                        time=world.time,
+                        state=measured[i],
+                        inbox=tuple(sent[j] for j in graph.neighbors[i].tolist() if sent),
+                        seen=seen.get(i, ()),
+                        begins=not sent,
+                    )
+                    for i in world.live
+                }
+                replies = self._call(calls)
+                if replies is None:
+                    break
+                sent = {i: reply.message for i, reply in replies.items()}
+                reports = {i: r.status for i, r in replies.items() if r.status is not None}
+            else:
+                return reports
+
+    def _call(self, calls: dict[int, Call]) -> dict[int, Reply] | None:
+        """Call all once, and wait for their replies; None where one has ended instead."""
+        for i, call in calls.items():
+            self.fleet.send(i, call)
+        replies: dict[int, Reply] = {}
+        while replies.keys() != calls.keys():
+            received = self.fleet.receive()
+            if received is not None and isinstance(received[1], Reply):
+                number, reply = received
+                if reply.serial == self._serial:
+                    replies[number] = reply
+            gone = self.fleet.take_gone()
+            if gone:
+                self.world.lose(gone)
+                return None
+        return replies

@@ -1,0 +1,286 @@
+"""World of the vehicles: their true states, losses and joins, and the record of the flight.
+
+In each vehicle's place it knows what that reports for the record. Of this, the world uses the
+controls that are held, and what is committed to where a vehicle joins.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from sato.network.graph import CommunicationGraph
+from sato.obstacles import Obstacle, Polytope
+from sato.processes.messages import Status
+from sato.reconfiguration.disturbances import disturb_control, draw_losses
+from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
+from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.state import Event, ReconfigurationFrame
+from sato.reconfiguration.stopping import Commitments
+from sato.reconfiguration.surroundings import Sensed, find_surroundings
+
+
+class World:
+    """True states of all vehicles, and what is recorded of them."""
+
+    def __init__(self, mission: Reconfiguration, rng: np.random.Generator) -> None:
+        self.mission, self.rng = mission, rng
+        self.leg_index = self.step_index = self.leg_start = 0
+        self.x, self.alive = mission.initial_states, mission.alive
+        self.surroundings = find_surroundings(mission)
+        self.committed: Commitments = dict(find_first_commitments(mission))
+        self.waiting: list[int] = []  # vehicles that join as soon as there is room
+        self.restarted: set[int] = set()  # those of them whose processes were started again
+        self.lost: set[int] = set()  # vehicles that have been lost
+        self.status: dict[int, Status] = {}  # of those that are there
+        none = np.full(len(self.x), -1)
+        self.target_index, self.target_count = none, np.full(len(self.x), 1)
+        self.left_out: set[int] = set()  # targets that some know to be blocked
+        self.events: list[Event] = []  # since the last frame
+
+    @property
+    def time(self) -> float:
+        """Time since the start of the mission [s]."""
+        return self.step_index * self.mission.step
+
+    @property
+    def leg_step(self) -> int:
+        """Steps since the start of the leg."""
+        return self.step_index - self.leg_start
+
+    @property
+    def live(self) -> list[int]:
+        """Numbers of the vehicles that are there."""
+        found: list[int] = np.flatnonzero(self.alive).tolist()
+        return found
+
+    def note(self, kind: str, agents: Any, **more: object) -> None:
+        """Note an event of some vehicles."""
+        self.events.append({"kind": kind, "agents": sorted(map(int, agents)), **more})
+
+    def connect(self) -> CommunicationGraph:
+        """Connect all vehicles that are there and within hearing."""
+        position = self.x[:, : self.mission.axes]
+        return CommunicationGraph.from_positions(position, self.mission.comm_radius, self.alive)
+
+    def begin_leg(self, number: int) -> None:
+        """Begin a leg."""
+        self.leg_index, self.leg_start, self.left_out = number, self.step_index, set()
+        self.target_index = np.full(len(self.x), -1)
+        self.note("leg_start", self.live, leg=number)
+
+    def end_leg(self, is_given_up: bool) -> None:
+        """Note the end of a leg."""
+        if is_given_up:
+            self.note("infeasible", self.live, what="the leg is given up: it took too many steps")
+        waiting = [i for i in self.waiting if i not in self.restarted]
+        if self.leg_index == len(self.mission.legs) - 1 and waiting:
+            self.note("refused", waiting)
+        held, counts = self.target_index.tolist(), self.target_count.tolist()
+        component = self.connect().component.tolist()
+        ended = {"target": held, "believed": counts, "component": component}
+        self.note("leg_end", self.live, leg=self.leg_index, **ended)
+
+    def have_arrived(self) -> bool:
+        """Tell whether all vehicles have arrived at the end of the last step, and none is to come.
+
+        Vehicles whose last plans are not clear may not be where their clocks have them.
+        """
+        steps, reports = self.mission.legs[self.leg_index].steps, self.status
+        is_due = any(at > self.leg_step for _, at in self.mission.joining(self.leg_index))
+        if is_due or not all(i in reports for i in self.live):
+            return False
+        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
+        if not all(map(nobody.has_room, self.waiting)):  # something that passes by is in the way
+            return False
+        each = [reports[i] for i in self.live]
+        return all(own.has_plan and own.clock + 1 >= steps for own in each)
+
+    @property
+    def _traffic(self) -> Traffic:
+        own = self.x, self.alive, self.committed, self.step_index, self.surroundings
+        return Traffic(self.mission, *own)
+
+    def lose_and_join(self) -> list[int]:
+        """Lose and admit those that the mission says, and return those that join."""
+        mission, k = self.mission, self.leg_step
+        due = [i for agents, at in mission.joining(self.leg_index) if at == k for i in agents]
+        self.waiting += due
+        joined = self._traffic.admit(self.waiting)
+        again = [i for i in joined if i in self.restarted]
+        self.alive = self.alive | np.isin(np.arange(len(self.x)), joined)
+        first = [i for i in joined if i not in again]
+        refused = [
+            i for i in due if not (self.alive[i] or mission.waits[i]) and i not in self.restarted
+        ]
+        self.waiting = [i for i in self.waiting if not (i in refused or self.alive[i])]
+        for kind, those in (("join", first), ("refused", refused)):
+            if those:
+                self.note(kind, those)
+        if again:
+            self.restarted.difference_update(again)
+            self.note("join", again, cause="process")
+        for loss in mission.legs[self.leg_index].losses:
+            if loss.at_step == k:
+                lost = draw_losses(loss, self.x[:, : mission.axes], self.alive, self.rng)
+                self._remove(lost)
+                event: dict[str, object] = {}
+                if loss.body == "coast" and self.surroundings is not None:
+                    gone = sorted(lost)
+                    self.surroundings = self.surroundings.with_lost(gone, self.x[gone])
+                    event = {"body": "coast"}
+                self.note("loss", lost, **event)
+        return [i for i in joined if self.alive[i]]
+
+    def lose(self, agents: list[int]) -> None:
+        """Lose vehicles whose processes have ended."""
+        lost = [i for i in agents if self.alive[i]]
+        self.waiting = [i for i in self.waiting if i not in agents]
+        if lost:
+            self._remove(lost)
+            self.note("loss", lost, cause="process")
+
+    def _remove(self, lost: list[int]) -> None:
+        self.alive = self.alive & ~np.isin(np.arange(len(self.x)), lost)
+        self.target_index = np.where(self.alive, self.target_index, -1)
+        self.lost.update(lost)
+        for i in lost:
+            self.status.pop(i, None)
+            self.committed.pop(i, None)
+
+    def restart(self, agent: int) -> None:
+        """Let a lost vehicle whose process was started again wait for room where it started."""
+        is_lost = agent < len(self.x) and not self.alive[agent]
+        if not is_lost or agent in self.waiting or agent not in self.lost:
+            return
+        self.x = self.x.copy()
+        self.x[agent] = self.mission.initial_states[agent]
+        self.restarted.add(agent)
+        self.waiting.append(agent)
+
+    def look_around(self) -> dict[int, tuple[Sensed, ...]]:
+        """Return what each vehicle has seen so far and its mission does not list, as it is now."""
+        if self.surroundings is None:
+            return {}
+        around = self.surroundings = self.surroundings.seen_from(self.mission, self.x)
+        hidden = [one for one in self.mission.obstacles if not one.known]
+        lost = around.vehicle[around.is_lost].tolist()
+        first = len(around.state) - len(hidden) - len(lost)
+        now: list[Sensed] = [move(one, self.time) for one in hidden]
+        now += [(i, self.x[i]) for i in lost]
+        return {
+            i: tuple(now[n - first] for n in np.flatnonzero(around.is_known[i]) if n >= first)
+            for i in self.live
+        }
+
+    def take_reports(self, reports: dict[int, Status]) -> Float[Array, "agents d"]:
+        """Take in what vehicles report after a decision, and return the controls that they hold."""
+        mission, before = self.mission, self.target_index
+        control = np.full((len(self.x), mission.axes), np.nan)
+        self.status = dict(reports)
+        self.target_index = np.where(self.alive, before, -1)
+        for i, own in reports.items():
+            control[i], self.target_index[i] = own.control, own.target_index
+            self.target_count[i] = own.target_count
+            if own.commitment is not None:
+                self.committed[i] = own.commitment
+        self._note_decisions(reports, self.alive & (self.target_index != before))
+        return control
+
+    def _note_decisions(self, reports: dict[int, Status], moved: Bool[Array, " agents"]) -> None:
+        if any(own.decides for own in reports.values()):
+            solves = sum(own.solves for own in reports.values())
+            self.note("replan", (), solves=solves)
+        closed = [i for i, own in reports.items() if own.calls and not self._has_just_joined(i)]
+        if closed:
+            self.note("closed", closed)
+        blocked = {t for own in reports.values() for t in own.blocked} - self.left_out
+        if blocked:
+            agents = [i for i, own in reports.items() if blocked.intersection(own.blocked)]
+            self.note("blocked", agents, targets=sorted(blocked))
+            self.left_out |= blocked
+        if moved.any():
+            others = np.flatnonzero(moved)
+            self.note("assignment", others, target=self.target_index[others].tolist())
+        self.events += merge_events([event for own in reports.values() for event in own.events])
+
+    def _has_just_joined(self, agent: int) -> bool:
+        joins = [event["agents"] for event in self.events if event["kind"] == "join"]
+        return any(agent in agents for agents in joins)
+
+    def fly(self, control: Float[Array, "agents d"], applied: Float[Array, "agents d"]) -> None:
+        """Fly one step under the controls that act."""
+        mission, around = self.mission, self.surroundings
+        flown = mission.flown_plant.propagate(
+            self.x, np.nan_to_num(applied), self.time, mission.step
+        )
+        moves = self.alive.copy()
+        if around is not None:
+            moves[around.vehicle[around.is_lost]] = True
+        self.x = np.where(moves[:, None], flown[1], self.x)
+        self.surroundings = around and around.after(mission, self.x)
+        self.step_index += 1
+        steps = mission.legs[self.leg_index].steps
+        arrived = [i for i, own in self.status.items() if own.clock + 1 == steps]
+        if arrived:
+            self.note("arrival", arrived)
+
+    def disturb(self, control: Float[Array, "agents d"]) -> Float[Array, "agents d"]:
+        """Return the controls that act for those that are commanded."""
+        return disturb_control(self.mission, control, self.rng)
+
+    def make_frame(
+        self,
+        control: Float[Array, "agents d"] | None = None,
+        applied: Float[Array, "agents d"] | None = None,
+        measured: Float[Array, "agents n"] | None = None,
+    ) -> ReconfigurationFrame:
+        """Record this instant, and the events since the last one."""
+        d, events = self.mission.axes, tuple(self.events)
+        self.events = []
+        none = np.full((len(self.x), d), np.nan)
+        is_noisy = self.mission.position_noise or self.mission.velocity_noise
+        seen = measured if is_noisy else None
+        counts: Int[Array, " agents"] = self.target_count.copy()
+        return ReconfigurationFrame(
+            time=self.time,
+            position=self.x[:, :d],
+            velocity=self.x[:, d:],
+            alive=self.alive,
+            component=self.connect().component,
+            control=none if control is None else control,
+            applied_control=none if applied is None else applied,
+            leg_index=self.leg_index,
+            target_index=self.target_index,
+            target_count=counts,
+            measured_position=None if seen is None else seen[:, :d],
+            measured_velocity=None if seen is None else seen[:, d:],
+            events=events,
+        )
+
+
+def merge_events(events: list[Event]) -> list[Event]:
+    """Return events with the agents of all that differ in nothing else together."""
+    found: dict[str, Event] = {}
+    for event in events:
+        rest = repr({name: value for name, value in event.items() if name != "agents"})
+        agents = found[rest]["agents"] if rest in found else []
+        found[rest] = event | {"agents": sorted([*agents, *event["agents"]])}
+    return list(found.values())
+
+
+def move(obstacle: Obstacle, time: float) -> Obstacle:
+    """Return an obstacle as it is at a time [s]."""
+    place = obstacle.place_at(time)
+    if isinstance(obstacle, Polytope):
+        points = obstacle.corners + place
+        return replace(obstacle, points=points, normals=None, offsets=None)
+    way = place - obstacle.place
+    moved: dict[str, Any] = {
+        name: tuple((np.array(getattr(obstacle, name)) + way).tolist())
+        for name in ("center", "low", "high")
+        if hasattr(obstacle, name)
+    }
+    return replace(obstacle, **moved)
