@@ -32,9 +32,10 @@ def four(*changes):
     return sato.read("random", ["swarm.agents=4", "leg.0.steps=20", *changes])
 
 
-def eventful():
+def eventful(*changes):
     """Noise, two legs, a loss and a join."""
-    mission = four("disturbance.position_m=0.002", "disturbance.acceleration_m_s2=0.001")
+    noise = "disturbance.position_m=0.002", "disturbance.acceleration_m_s2=0.001"
+    mission = four(*noise, *changes)
     lost, join = sato.Loss("agents", agents=(1,), at_step=5), sato.Join(1, [[9.0, 9.0]], 3)
     (leg,) = mission.legs
     later = sato.Leg(sato.Ring(2.0), 16, recount=True)
@@ -77,8 +78,9 @@ def assert_same(frames, expected):
         np.testing.assert_allclose(frame.position, other.position, rtol=0, atol=1e-9)
 
 
-def test_processes_in_lock_step_fly_as_the_simulation():
-    mission = eventful()
+@pytest.mark.parametrize("link", [(), ("link.loss=0.1", "link.late=2")], ids=["ideal", "lossy"])
+def test_processes_in_lock_step_fly_as_the_simulation(link):
+    mission = eventful(*link)
     with flight(mission) as (_, processes):
         frames = list(processes.fly())
     assert_same(frames, simulated(mission))

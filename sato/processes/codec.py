@@ -2,14 +2,15 @@
 
 A value is a byte that tells its type, and its content; lengths and numbers are little-endian. An
 array is its type, its shape and its numbers as they are in memory. A named tuple or dataclass is
-its place in the list of types, and its fields in order. Nothing else is ever made of what arrives:
-no function is called by name, as a pickle can ask for.
+its place in the list of types, and its fields in order. Members of a set, reports that are passed
+on from round to round, have their lengths before them, and are encoded and decoded once. Nothing
+else is ever made of what arrives: no function is called by name, as a pickle can ask for.
 """
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pkgutil import resolve_name
 from typing import Any
 
@@ -22,6 +23,7 @@ TYPES = """
     problems.obstacle_paths:ObstaclePaths
     sato.auctions.bidder:WinningBids
     sato.network.flooding:CensusMessage
+    sato.network.synchronous_agent:Packet
     sato.obstacles:Box
     sato.obstacles:Ellipsoid
     sato.obstacles:Polytope
@@ -50,6 +52,7 @@ TYPES = """
 """.split()
 
 MAX_DEPTH = 32  # of values within values
+MAX_KEPT = 4096  # members of sets, encoded or decoded
 NUMBERS = "<f8 <f4 <i8 <i4 <i2 |i1 |u1 |b1".split()  # types of arrays
 
 
@@ -74,16 +77,12 @@ def decode(data: bytes) -> Any:
     Raises:
         CodecError: The bytes are none.
     """
-    reader = _Reader(data)
     try:
-        value = reader.read_value(0)
+        return _Reader(data).read_all(0)
     except CodecError:
         raise
     except (ValueError, TypeError, struct.error, OverflowError, MemoryError) as error:
         raise CodecError(f"is no message: {error}") from error
-    if reader.place != len(data):
-        raise CodecError(f"is no message: {len(data) - reader.place} bytes follow its end")
-    return value
 
 
 @cache
@@ -122,11 +121,27 @@ def _write(out: bytearray, value: Any) -> None:
     elif type(value) is list:
         _write_each(out, b"l", value)
     elif type(value) is frozenset:
-        _write_each(out, b"z", value)
+        out += struct.pack("<cI", b"z", len(value))
+        for member in value:
+            # Named tuples are equal only where all of their fields are.
+            is_tuple = isinstance(member, tuple)
+            kind = _registry()[0].get(type(member), -1)
+            own = _encode_member(kind, member) if is_tuple else encode(member)
+            out += struct.pack("<I", len(own)) + own
     elif type(value) is dict:
         _write_each(out, b"d", [part for pair in value.items() for part in pair])
     else:
         raise CodecError(f"a {type(value).__name__} cannot be sent: it is on no list of types")
+
+
+@lru_cache(MAX_KEPT)
+def _encode_member(kind: int, member: Hashable) -> bytes:
+    return encode(member)
+
+
+@lru_cache(MAX_KEPT)
+def _decode_member(data: bytes, depth: int) -> Any:
+    return _Reader(data).read_all(depth)
 
 
 def _write_bytes(out: bytearray, tag: bytes, content: bytes) -> None:
@@ -153,6 +168,14 @@ class _Reader:
     def __init__(self, data: bytes) -> None:
         self.data, self.place = data, 0
 
+    def read_all(self, depth: int) -> Any:
+        """Read a value, which is so deep within others, and all there is."""
+        value = self.read_value(depth)
+        if self.place != len(self.data):
+            left = len(self.data) - self.place
+            raise CodecError(f"is no message: {left} bytes follow its end")
+        return value
+
     def read_value(self, depth: int) -> Any:
         """Read a value that is so deep within others."""
         if depth > MAX_DEPTH:
@@ -172,6 +195,9 @@ class _Reader:
         if tag in b"sb":
             content = self._take(count)
             return content.decode() if tag == b"s" else content
+        if tag == b"z":
+            each = (self._take(*self._unpack("<I")) for _ in range(count))
+            return frozenset(_decode_member(own, depth + 1) for own in each)
         return _COUNTED[tag](self.read_value(depth + 1) for _ in range(count))
 
     def _read_record(self, depth: int) -> Any:

@@ -1,9 +1,11 @@
-"""Flight of vehicles that are processes, in lock step: a barrier each round of messages."""
+"""Flight of vehicles that are processes, in lock step: a barrier each round of the network."""
 
+from collections import defaultdict
 from collections.abc import Iterator
 
 from numpy import ndarray as Array
 
+from sato.network.channel import NEVER, Channel
 from sato.processes.fleet import Fleet
 from sato.processes.messages import Briefing, Call, Reply, Status
 from sato.processes.world import World
@@ -22,6 +24,7 @@ class LockStep:
     def __init__(self, world: World, fleet: Fleet, scenario: str, seed: int) -> None:
         self.world, self.fleet = world, fleet
         self.scenario, self.seed, self._serial = scenario, seed, 0
+        self._link_rng = world.rng.spawn(1)[0]  # draws losses and delays of messages
 
     def fly(self) -> Iterator[ReconfigurationFrame]:
         """Fly all legs; yield a frame at every control instant."""
@@ -66,32 +69,42 @@ class LockStep:
 
     def _decide(self, measured: Array) -> dict[int, Status]:
         """Let all decide in rounds of messages; return what they report."""
-        world = self.world
-        while True:
-            graph, seen = world.connect(), world.look_around()
-            sent: dict[int, bytes] = {}
-            reports: dict[int, Status] = {}
-            while world.alive.any() and (not sent or sent.keys() != reports.keys()):
-                self._serial += 1
-                calls = {
-                    i: Call(
-                        serial=self._serial,
-                        leg=world.leg_index,
-                        time=world.time,
-                        state=measured[i],
-                        inbox=tuple(sent[j] for j in graph.neighbors[i].tolist() if sent),
-                        seen=seen.get(i, ()),
-                        begins=not sent,
-                    )
-                    for i in world.live
-                }
-                replies = self._call(calls)
-                if replies is None:
-                    break
-                sent = {i: reply.message for i, reply in replies.items()}
-                reports = {i: r.status for i, r in replies.items() if r.status is not None}
-            else:
-                return reports
+        reports = None
+        while reports is None:
+            reports = self._try_to_decide(measured)
+        return reports
+
+    def _try_to_decide(self, measured: Array) -> dict[int, Status] | None:
+        """Let all decide; return what they report, or None where one has ended meanwhile."""
+        world, reports, now = self.world, dict[int, Status](), 0
+        graph, seen = world.connect(), world.look_around()
+        channel = Channel(world.mission.link, graph, self._link_rng.spawn(1)[0])
+        arriving: defaultdict[tuple[int, int], list[bytes]] = defaultdict(list)
+        while len(reports) < len(world.live):
+            self._serial += 1
+            calls = {
+                i: Call(
+                    serial=self._serial,
+                    leg=world.leg_index,
+                    time=world.time,
+                    state=measured[i],
+                    inbox=tuple(arriving.pop((now, i), ())),
+                    seen=seen.get(i, ()),
+                    begins=now == 0,
+                )
+                for i in world.live
+            }
+            replies = self._call(calls)
+            if replies is None:
+                return None
+            reports = {i: r.status for i, r in replies.items() if r.status is not None}
+            channel.extend(now + 1)
+            edges = zip(channel.sender, channel.receiver, channel.arrival[:, now], strict=True)
+            for sender, receiver, at in edges:
+                if at != NEVER:
+                    arriving[int(at), int(receiver)].append(replies[int(sender)].packet)
+            now += 1
+        return reports
 
     def _call(self, calls: dict[int, Call]) -> dict[int, Reply] | None:
         """Call all once, and wait for their replies; None where one has ended instead."""

@@ -36,7 +36,7 @@ class Call(NamedTuple):
     leg: int  # under way
     time: float  # [s]
     state: Float[Array, " n"]  # measured
-    inbox: tuple[bytes, ...]  # messages of neighbors
+    inbox: tuple[bytes, ...]  # packets of neighbors that arrive
     seen: tuple[Sensed, ...]
     begins: bool  # the instant, once more where others have fallen silent in the middle of it
 
@@ -58,10 +58,10 @@ class Status(NamedTuple):
 
 
 class Reply(NamedTuple):
-    """Message of a vehicle in a round, and its report once its decision is made."""
+    """Packet of a vehicle in a round, and its report once its decision is made."""
 
     serial: int
-    message: bytes
+    packet: bytes
     status: Status | None
 
 
