@@ -1,8 +1,10 @@
 """Processes of all vehicles: their start, what they say, and their end."""
 
 import multiprocessing
+import signal
 from collections.abc import Iterable
 from contextlib import suppress
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -156,4 +158,9 @@ def _context() -> Any:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
+    # Ctrl-C is for the world alone, which ends all others.
+    resource_tracker.ensure_running()  # which unblocks it
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    forkserver.ensure_running()
+    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return context
