@@ -94,6 +94,17 @@ class Fleet:
             if monotonic() > until:
                 raise VehicleError(f"the processes were not there within {START_TIME:g} s")
 
+    def kill(self, numbers: Iterable[int]) -> None:
+        """End the processes of vehicles that are lost, as far as they were started here."""
+        for i in numbers:
+            if i in self.processes:
+                self.processes[i].kill()
+
+    def drain(self) -> None:
+        """Take in what vehicles say of themselves, when nothing else is expected of them."""
+        while self.receive(timeout=0.0) is not None:
+            pass
+
     def take_new(self) -> list[int]:
         """Return the vehicles that ask for a mission, each once."""
         found, self.new = sorted(set(self.new)), []

@@ -7,7 +7,8 @@ from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.processes.fleet import Fleet
-from sato.processes.messages import Briefing, Call, Reply, Status
+from sato.processes.messages import Call, Reply, Status
+from sato.processes.presence import Presence
 from sato.processes.world import World
 from sato.reconfiguration.disturbances import measure
 from sato.reconfiguration.leg import MAX_LEG_FACTOR
@@ -22,13 +23,13 @@ class LockStep:
     """
 
     def __init__(self, world: World, fleet: Fleet, scenario: str, seed: int) -> None:
-        self.world, self.fleet = world, fleet
-        self.scenario, self.seed, self._serial = scenario, seed, 0
+        self.world, self.fleet, self._serial = world, fleet, 0
+        self.presence = Presence(world, fleet, scenario, seed, 0.0)
         self._link_rng = world.rng.spawn(1)[0]  # draws losses and delays of messages
 
     def fly(self) -> Iterator[ReconfigurationFrame]:
         """Fly all legs; yield a frame at every control instant."""
-        self._admit(self.world.live, None)
+        self.presence.begin()
         for number in range(len(self.world.mission.legs)):
             self.world.begin_leg(number)
             yield from self._fly_leg()
@@ -38,9 +39,8 @@ class LockStep:
         world = self.world
         most = MAX_LEG_FACTOR * world.mission.legs[world.leg_index].steps
         while True:
-            self._note_processes()
-            joined = world.lose_and_join()
-            self._admit(joined, world.leg_start * world.mission.step)
+            self.fleet.drain()
+            self.presence.update()
             is_given_up = world.leg_step == most
             if is_given_up or (world.leg_step > 0 and world.have_arrived()):
                 world.end_leg(is_given_up)
@@ -50,22 +50,6 @@ class LockStep:
             applied = world.disturb(control)
             yield world.make_frame(control, applied, measured)
             world.fly(control, applied)
-
-    def _note_processes(self) -> None:
-        """Note the processes that have ended, and those that were started again."""
-        while self.fleet.receive(timeout=0.0) is not None:
-            pass
-        self.world.lose(self.fleet.take_gone())
-        for i in self.fleet.take_new():
-            self.world.restart(i)
-
-    def _admit(self, agents: list[int], leg_start: float | None) -> None:
-        """Start the processes of vehicles that are not there yet, and give all their mission."""
-        self.fleet.start(i for i in agents if i not in self.fleet.ids)
-        self.fleet.take_new()
-        for i in agents:
-            briefing = Briefing(self.scenario, self.seed, self.world.leg_index, leg_start)
-            self.fleet.send(i, briefing)
 
     def _decide(self, measured: Array) -> dict[int, Status]:
         """Let all decide in rounds of messages; return what they report."""

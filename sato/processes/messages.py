@@ -20,6 +20,7 @@ class Briefing(NamedTuple):
     seed: int
     leg: int  # under way
     leg_start: float | None  # time at which it began, for a vehicle that joins [s]
+    tick: float  # time between two packets of a vehicle that runs freely [s]; 0 in lock step
 
 
 class Hearing(NamedTuple):

@@ -18,7 +18,7 @@ from sato.reconfiguration.disturbances import disturb_control, draw_losses
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import Event, ReconfigurationFrame
-from sato.reconfiguration.stopping import Commitments
+from sato.reconfiguration.stopping import Commitments, controls_at
 from sato.reconfiguration.surroundings import Sensed, find_surroundings
 
 
@@ -34,7 +34,8 @@ class World:
         self.waiting: list[int] = []  # vehicles that join as soon as there is room
         self.restarted: set[int] = set()  # those of them whose processes were started again
         self.lost: set[int] = set()  # vehicles that have been lost
-        self.status: dict[int, Status] = {}  # of those that are there
+        self.status: dict[int, Status] = {}  # last report of each that is there
+        self.new_reports: set[int] = set()  # vehicles that have reported at this instant
         none = np.full(len(self.x), -1)
         self.target_index, self.target_count = none, np.full(len(self.x), 1)
         self.left_out: set[int] = set()  # targets that some know to be blocked
@@ -103,27 +104,32 @@ class World:
         own = self.x, self.alive, self.committed, self.step_index, self.surroundings
         return Traffic(self.mission, *own)
 
-    def lose_and_join(self) -> list[int]:
-        """Lose and admit those that the mission says, and return those that join."""
+    def admit_joins(self) -> list[int]:
+        """Return the vehicles that join now: over a network, when others decide."""
         mission, k = self.mission, self.leg_step
-        due = [i for agents, at in mission.joining(self.leg_index) if at == k for i in agents]
-        self.waiting += due
+        for agents, at_step in mission.joining(self.leg_index):
+            self.waiting += agents if at_step == k else []
+        if mission.lag_steps and k % mission.replan_steps:
+            return []
         joined = self._traffic.admit(self.waiting)
-        again = [i for i in joined if i in self.restarted]
         self.alive = self.alive | np.isin(np.arange(len(self.x)), joined)
+        again = [i for i in joined if i in self.restarted]
+        waits = [i for i in self.waiting if mission.waits[i] or i in self.restarted]
+        refused = [i for i in self.waiting if not (self.alive[i] or i in waits)]
+        self.waiting = [i for i in waits if not self.alive[i]]
+        self.restarted.difference_update(again)
         first = [i for i in joined if i not in again]
-        refused = [
-            i for i in due if not (self.alive[i] or mission.waits[i]) and i not in self.restarted
-        ]
-        self.waiting = [i for i in self.waiting if not (i in refused or self.alive[i])]
-        for kind, those in (("join", first), ("refused", refused)):
+        changes = (("join", first, {}), ("join", again, {"cause": "process"}))
+        for kind, those, more in (*changes, ("refused", refused, {})):
             if those:
-                self.note(kind, those)
-        if again:
-            self.restarted.difference_update(again)
-            self.note("join", again, cause="process")
+                self.note(kind, those, **more)
+        return joined
+
+    def apply_losses(self) -> list[int]:
+        """Return the vehicles that the mission loses now."""
+        mission, found = self.mission, list[int]()
         for loss in mission.legs[self.leg_index].losses:
-            if loss.at_step == k:
+            if loss.at_step == self.leg_step:
                 lost = draw_losses(loss, self.x[:, : mission.axes], self.alive, self.rng)
                 self._remove(lost)
                 event: dict[str, object] = {}
@@ -132,7 +138,8 @@ class World:
                     self.surroundings = self.surroundings.with_lost(gone, self.x[gone])
                     event = {"body": "coast"}
                 self.note("loss", lost, **event)
-        return [i for i in joined if self.alive[i]]
+                found += lost
+        return found
 
     def lose(self, agents: list[int]) -> None:
         """Lose vehicles whose processes have ended."""
@@ -146,6 +153,7 @@ class World:
         self.alive = self.alive & ~np.isin(np.arange(len(self.x)), lost)
         self.target_index = np.where(self.alive, self.target_index, -1)
         self.lost.update(lost)
+        self.new_reports.difference_update(lost)
         for i in lost:
             self.status.pop(i, None)
             self.committed.pop(i, None)
@@ -176,10 +184,14 @@ class World:
         }
 
     def take_reports(self, reports: dict[int, Status]) -> Float[Array, "agents d"]:
-        """Take in what vehicles report after a decision, and return the controls that they hold."""
-        mission, before = self.mission, self.target_index
-        control = np.full((len(self.x), mission.axes), np.nan)
-        self.status = dict(reports)
+        """Take in what vehicles report at an instant, and return the controls that they hold.
+
+        One that does not report flies what it has committed to.
+        """
+        before, self.new_reports = self.target_index, set(reports)
+        held = self.alive & np.isin(np.arange(len(self.x)), list(self.committed))
+        control = controls_at(self.committed, self.step_index, held, self.mission)
+        self.status = self.status | reports
         self.target_index = np.where(self.alive, before, -1)
         for i, own in reports.items():
             control[i], self.target_index[i] = own.control, own.target_index
@@ -223,7 +235,7 @@ class World:
         self.surroundings = around and around.after(mission, self.x)
         self.step_index += 1
         steps = mission.legs[self.leg_index].steps
-        arrived = [i for i, own in self.status.items() if own.clock + 1 == steps]
+        arrived = [i for i in self.new_reports if self.status[i].clock + 1 == steps]
         if arrived:
             self.note("arrival", arrived)
 
