@@ -1,11 +1,14 @@
 """Radio link between two agents: losses, delays, outages, and the time that a round takes."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import ceil
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Lt
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
 
 from dynamics.units import Time
 from sato.scenario.definition import Definition, Key, NotNegative, Positive, errors_in, fields_of
@@ -96,7 +99,11 @@ class Link(Definition):
         down = (self.outage_rounds + 1) / 2
         return down * (1 - self.outage_share) / self.outage_share
 
-    @property
+    def count_rounds(self, time: float | Float[Array, " k"]) -> Int[Array, "*k"]:
+        """Return how many whole rounds there are in a time, or several [s]."""
+        return np.asarray(np.floor(np.asarray(time) / self.round + 1e-9), dtype=int)
+
+    @cached_property
     def silent_rounds(self) -> int:
         """Rounds within which an agent within hearing is heard, but for one case in 10⁹.
 

@@ -119,7 +119,7 @@ class World:
         self.waiting = [i for i in waits if not self.alive[i]]
         self.restarted.difference_update(again)
         first = [i for i in joined if i not in again]
-        changes = (("join", first, {}), ("join", again, {"cause": "process"}))
+        changes: Any = (("join", first, {}), ("join", again, {"cause": "process"}))
         for kind, those, more in (*changes, ("refused", refused, {})):
             if those:
                 self.note(kind, those, **more)

@@ -22,7 +22,6 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.network_decision import (
     Negotiations,
     Outcome,
-    steps_to_rounds,
     whole_steps,
 )
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
@@ -311,8 +310,8 @@ class _Flight:
         for deciding, bids in self._schedule_decisions(later, self.called):
             outcomes.append(self._decide(later._replace(graph=deciding, memory=later.memory), bids))
         self.called, graph = [], context.graph
-        enters = steps_to_rounds(mission, self.clock_delay / mission.step)
-        rounds = int(steps_to_rounds(mission, np.array([mission.lag_steps]))[0])
+        enters = mission.link.count_rounds(self.clock_delay)
+        rounds = int(mission.link.count_rounds(mission.lag_steps * mission.step))
         channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
         self.pending = Negotiations(outcomes, graph, channel, enters, rounds, have_arrived)
@@ -361,8 +360,8 @@ class _Flight:
         self.pending, stops = None, np.full(len(self.x), NEVER)
         begun = self.step_index - mission.lag_steps
         for i, instant in self.lost_at.items():
-            silent = steps_to_rounds(mission, np.array([max(0, instant - begun)]))[0]
-            stops[i] = pending.enters[i] + silent
+            flown = max(0, instant - begun) * mission.step
+            stops[i] = pending.enters[i] + mission.link.count_rounds(flown)
         found = pending.finish(mission, stops)
         late = self.alive & ~found.has_heard
         for outcome, through in zip(pending.outcomes, found.through, strict=True):

@@ -126,11 +126,6 @@ def confirm(
         promised = after
 
 
-def steps_to_rounds(mission: Reconfiguration, steps: Int[Array, " k"]) -> Int[Array, " k"]:
-    """Return the rounds of the network in some control steps."""
-    return np.floor(steps * mission.step / mission.link.round + 1e-9).astype(int)
-
-
 def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> list[int]:
     """Return by how many whole steps clocks are behind; nothing where none is.
 
