@@ -311,10 +311,10 @@ class _Flight:
             outcomes.append(self._decide(later._replace(graph=deciding, memory=later.memory), bids))
         self.called, graph = [], context.graph
         enters = mission.link.count_rounds(self.clock_delay)
-        rounds = int(mission.link.count_rounds(mission.lag_steps * mission.step))
         channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
-        self.pending = Negotiations(outcomes, graph, channel, enters, rounds, have_arrived)
+        limits = enters, mission.decision_rounds
+        self.pending = Negotiations(outcomes, graph, channel, *limits, have_arrived)
 
     def _stop_uncommitted(self, context: state.DecisionContext) -> None:
         """Let agents stop that have not committed to anything."""

@@ -159,6 +159,9 @@ class Reconfiguration(PlannedLimits, Mission):
         PLAN,
         "replanning period; if absent, up to half the horizon",
     ] = LATER
+    compute: Annotated[
+        Time, PLAN, NotNegative, "time that an agent computes in a decision, over a network"
+    ] = 0.0
     auction_steps: Annotated[
         Steps,
         PLAN,

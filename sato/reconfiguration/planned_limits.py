@@ -37,6 +37,7 @@ class PlannedLimits(Vehicles):
     allow_undetectable: bool
     printed: bool
     link: Link
+    compute: float
     disturbance: float
     position_noise: float
     velocity_noise: float
@@ -47,6 +48,12 @@ class PlannedLimits(Vehicles):
     def lag_steps(self) -> int:
         """Steps from the beginning of a decision until what is decided is flown."""
         return self.replan_steps if self.link.round > 0 else 0
+
+    @property
+    def decision_rounds(self) -> int:
+        """Rounds of the network until a decision has to be made; 0 where they take no time."""
+        left = self.lag_steps * self.step - self.compute
+        return int(self.link.count_rounds(max(left, 0.0))) if self.lag_steps else 0
 
     @property
     def sight(self) -> float:
