@@ -15,6 +15,7 @@ from sato.scenario.definition import Definition, Key, NotNegative, Positive, err
 from sato.scenario.errors import InputError
 
 UNHEARD_PROBABILITY = 1e-9  # that all repetitions of a message are lost
+MOST_ROUNDS = 20_000  # of repetitions, beyond which no link is of use
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,18 +108,18 @@ class Link(Definition):
     def silent_rounds(self) -> int:
         """Rounds within which an agent within hearing is heard, but for one case in 10⁹.
 
-        The link fails and recovers meanwhile as in `Channel.draw`.
+        Outages begin and end meanwhile as those of a `Channel`.
         """
         most, share, rounds = self.outage_rounds, self.outage_share, 0
-        # Probability that nothing was heard, and that the link is up, or down for 1, 2 … rounds.
+        if most >= MOST_ROUNDS:
+            return most + 1 + self.late
+        # Probabilities that nothing was heard, and that the link is up, or down for 1, 2 … rounds.
         ages = np.arange(most, 0, -1.0)
-        unheard = np.append(1 - share, share * ages / max(1.0, ages.sum()))
-        after = np.eye(most + 1, k=1)
-        after[0, 0] = 1.0
-        if share:
-            fails = 1 / self.mean_up_rounds
-            after[:, 0] = np.append(1 - fails, np.full(most, fails / most))
-        while unheard.sum() > UNHEARD_PROBABILITY:
-            unheard[0] *= self.loss_probability
-            unheard, rounds = after @ unheard, rounds + 1
+        up, down = 1 - share, share * ages / max(1.0, ages.sum())
+        begins = 1 / self.mean_up_rounds if most else 0.0
+        while up + down.sum() > UNHEARD_PROBABILITY and rounds < MOST_ROUNDS:
+            up, rounds = up * self.loss_probability, rounds + 1
+            if most:
+                later = np.append(down[1:], 0.0) + up * begins / most
+                up, down = up * (1 - begins) + down[0], later
         return rounds + self.late

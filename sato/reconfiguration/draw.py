@@ -8,7 +8,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.propagation import Impact
-from sato.reconfiguration import feasibility, first_commitment, passive_requirements, reach
+from sato.reconfiguration import (
+    feasibility,
+    first_commitment,
+    link_feasibility,
+    passive_requirements,
+    reach,
+)
 from sato.reconfiguration.allowed_places import check_margin_to_obstacles
 from sato.reconfiguration.departure import Departure, count_wanted, depart
 from sato.reconfiguration.leg import Leg, states_of
@@ -54,6 +60,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
     drawn = _resolve(drawn, departures, factors, demand)
     check_margin_to_obstacles(drawn)
+    link_feasibility.check_starts(drawn)
     reach.check_reach(drawn)
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)

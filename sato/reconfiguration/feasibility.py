@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sato.reconfiguration import passive_requirements
+from sato.reconfiguration import link_feasibility, passive_requirements
 from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
@@ -25,6 +25,7 @@ def check(mission: "Reconfiguration") -> None:
         InputError: They do; says what would do.
     """
     _check_periods(mission)
+    link_feasibility.check(mission)
     _check_printed(mission)
     _check_solver(mission)
     _check_noise(mission)

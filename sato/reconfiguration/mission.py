@@ -17,7 +17,7 @@ from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.network.link import Link
 from sato.obstacles import AnyObstacle
-from sato.reconfiguration import feasibility, models, vehicles
+from sato.reconfiguration import feasibility, link_feasibility, models, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
@@ -310,11 +310,12 @@ class Reconfiguration(PlannedLimits, Mission):
         """List doubts about a drawn mission, a sentence each."""
         from sato.reconfiguration import tolerances
 
+        doubts = link_feasibility.list_doubts(self)
         if self.tracking is not None:
-            return tolerances.tracking_doubts(self)
+            return doubts + tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:
-            return []
-        return tolerances.model_doubts(self, self.chief)
+            return doubts
+        return doubts + tolerances.model_doubts(self, self.chief)
 
     def without_files(self) -> "Reconfiguration":
         """Return the same mission with the contents of files and fonts."""
