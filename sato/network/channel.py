@@ -8,7 +8,7 @@ from sato.network.graph import CommunicationGraph
 from sato.network.link import Link
 
 NEVER = 2**30  # round of what does not happen
-BLOCK = 256  # rounds that are drawn at once
+BLOCK = 128  # rounds that are drawn at once
 
 
 class Outages:
@@ -67,25 +67,38 @@ class Channel:
         """
         self._link, self._rng = link, rng
         self.sender, self.receiver = np.nonzero(graph.adjacency)
-        self.arrival: Int[Array, "edges rounds"] = np.zeros((len(self.sender), 0), dtype=np.int32)
+        self.by_round: Int[Array, "rounds edges"] = np.zeros((0, len(self.sender)), dtype=np.int32)
         i, j = graph.pairs
         place = np.full(graph.adjacency.shape, -1)
         place[i, j] = place[j, i] = np.arange(len(i))
         self._pair = place[self.sender, self.receiver]
         self._outages = Outages(link, len(i), rng)
 
-    def extend(self, rounds: int) -> bool:
-        """Draw so many rounds, or more; return False where they are drawn already."""
-        blocks, link = [self.arrival], self._link
-        for first in range(self.arrival.shape[1], rounds, BLOCK):
-            drawn = self._rng.random((len(self.sender), BLOCK), dtype=np.float32)
-            loss, after = link.loss_probability, np.arange(first + 1, first + BLOCK + 1)
-            late = (drawn - loss) * ((link.late + 1) / (1 - loss))
-            block = after.astype(np.int32) + np.minimum(late.astype(np.int32), link.late)
-            is_lost = drawn < loss
+    @property
+    def arrival(self) -> Int[Array, "edges rounds"]:
+        """Round in which each message is heard, as far as they are drawn."""
+        return self.by_round.T
+
+    def extend(self, rounds: int) -> None:
+        """Draw so many rounds, or more."""
+        blocks, link = [self.by_round], self._link
+        loss, share = (
+            np.float32(link.loss_probability),
+            (link.late + 1) / (1 - link.loss_probability),
+        )
+        for first in range(len(self.by_round), rounds, BLOCK):
+            block = np.empty((BLOCK, len(self.sender)), dtype=np.int32)
+            block[:] = np.arange(first + 1, first + BLOCK + 1)[:, None]
+            if link.late or link.loss_probability:
+                drawn = self._rng.random(block.shape, dtype=np.float32)
+                is_lost = drawn < loss
+                if link.late:
+                    drawn -= loss
+                    drawn *= np.float32(share)
+                    block += np.minimum(drawn.astype(np.int32), link.late)
+                block[is_lost] = NEVER
             if link.outage_share:
-                is_lost |= self._outages.draw(BLOCK)[self._pair]
-            block[is_lost] = NEVER
+                block[self._outages.draw(BLOCK).T[:, self._pair]] = NEVER
             blocks.append(block)
-        self.arrival = np.hstack(blocks)
-        return len(blocks) > 1
+        if len(blocks) > 1:
+            self.by_round = np.vstack(blocks)

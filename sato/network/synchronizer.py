@@ -27,22 +27,27 @@ class Synchronizer:
             channel: Arrival of messages.
             stops: Round of the network in which each agent falls silent, or its time is over.
         """
-        self._channel, self._stops, self._last = channel, stops, int(stops.max(initial=0))
+        self._channel, self._stops = channel, stops
+        self._first_stop = int(stops.min(initial=NEVER))
         self._until = np.minimum(stops[channel.sender], stops[channel.receiver])
         self._edges = np.arange(len(channel.sender))
         self._place = np.full((len(stops), len(stops)), -1)
         self._place[channel.sender, channel.receiver] = self._edges
-        self._draw(0)
+        self._heard = np.full((1, len(self._edges)), NEVER, dtype=np.int32)
 
     def _draw(self, rounds: int) -> None:
         """Find out when messages arrive that are repeated from a round on, up to so many rounds."""
-        channel = self._channel
-        channel.extend(min(rounds, self._last))
-        count = channel.arrival.shape[1]
-        is_sent = np.arange(count) < self._stops[channel.sender][:, None]
-        arrival = np.where(is_sent, channel.arrival, NEVER)
-        ahead = np.minimum.accumulate(arrival[:, ::-1], axis=1)[:, ::-1]
-        self._heard = np.pad(ahead, ((0, 0), (0, 1)), constant_values=NEVER)
+        channel, known = self._channel, len(self._heard) - 1
+        channel.extend(rounds)
+        later = channel.by_round[known:]
+        ahead = np.full((len(later) + 1, len(self._edges)), NEVER, dtype=np.int32)
+        silent = self._stops[channel.sender]
+        for k in range(len(later) - 1, -1, -1):
+            np.minimum(later[k], ahead[k + 1], out=ahead[k])
+            if known + k >= self._first_stop:
+                ahead[k, silent <= known + k] = NEVER
+        before = np.minimum(self._heard[:-1], ahead[0])
+        self._heard = np.vstack([before, ahead])
 
     def find_edges(self, sender: Int[Array, " k"], receiver: Int[Array, " k"]) -> Int[Array, " k"]:
         """Return the places of edges in the list."""
@@ -52,13 +57,13 @@ class Synchronizer:
         """Return when each receiver has what its neighbor repeats from a round on."""
         asked = sent[self._channel.sender]
         while True:
-            count = self._heard.shape[1] - 1
-            heard = self._heard[self._edges, np.minimum(asked, count)]
+            count = len(self._heard) - 1
+            heard = self._heard[np.minimum(asked, count), self._edges]
             # What is repeated in a round that is not drawn yet may be heard sooner.
             is_open = (asked < self._until) & (heard > count) & (count < self._until)
             if not is_open.any():
                 return np.asarray(heard)
-            self._draw(2 * count + 1)
+            self._draw(count + 1)
 
     def advance(self, entered: Rounds, rounds: Int[Array, " agents"]) -> Rounds:
         """Return when each agent gets through so many synchronous rounds; NEVER if it does not.

@@ -143,7 +143,7 @@ def count_escape_steps(mission: Reconfiguration, size: float) -> int:
     way = ESCAPE_FACTOR * 2 * (size + mission.largest_separation)
     U, V = mission.least_braking, float(mission.top_speeds.min())
     time = 2 * (way / U) ** 0.5 if way < V**2 / U else way / V + V / U
-    return 2 * mission.replan_steps + int(np.ceil(time / mission.step))
+    return 2 * mission.replan_steps + mission.lag_steps + int(np.ceil(time / mission.step))
 
 
 def find_surroundings(mission: Reconfiguration) -> Surroundings | None:
