@@ -28,10 +28,10 @@ REFUSED = [
         {"link.outage_s": 2, "link.outage_share": 0.3},
         r"link\.round_s: is 0, and outages of 2 s are counted in rounds",
     ),
-    ({"link.skew_s": 9}, r"link\.skew_s: 9 is more than the replanning period of 2 s.* at most 2 w"),
+    ({"link.skew_s": 9}, r"link\.skew_s: 9 is more than the replanning period of 2 s"),
     (
         {"link.round_s": 0.02, "link.late": 5000},
-        r"link\.late: messages may come 100 s late, and leg 0 takes 36 s; link\.late = 11 or",
+        r"link\.late: messages may come 100 s late, and leg 0 takes 36 s; link\.late = 1",
     ),
     ({"plan.printed": "true"}, r"plan\.printed: over a \[link\] .*; printed = false would do"),
     ({"plan.orders": 2}, r"plan\.orders: over a \[link\] .*; orders = 1 would do"),
@@ -72,7 +72,7 @@ def test_starts_in_motion_are_refused_where_clocks_differ():
         {"link.round_s": 0.5},
         {"link.round_s": 0.05} | POOR,
         {"link.round_s": 0.02, "link.late": 200},
-        {"link.round_s": 0.02, "link.skew_s": 1.8},
+        {"name": "random", "link.round_s": 0.01, "link.skew_s": 0.9},
     ],
 )
 def test_what_is_suggested_for_too_few_rounds_would_do(keys):

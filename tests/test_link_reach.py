@@ -11,8 +11,8 @@ from sato.network.link import Link
 LIMITS = {"max_control": 0.3, "max_speed": 0.9, "horizon_steps": 2, "auction_steps": 2}
 LINKS = (
     {"loss_probability": 0.2},
-    {"late": 3, "round": 0.05},
-    {"loss_probability": 0.2, "outage": 0.2, "outage_share": 0.3, "round": 0.05},
+    {"late": 3, "round": 0.01},
+    {"loss_probability": 0.2, "outage": 0.05, "outage_share": 0.3, "round": 0.01},
     {"skew": 0.5},
     {"loss_probability": 0.1, "skew": 0.4, "round": 0.02},
 )
@@ -59,7 +59,7 @@ def test_a_radius_for_full_speed_is_enough_and_hardly_more(faults):
 
 def test_two_that_come_unheard_at_full_speed_stop_apart():
     # Worst case: both decide just out of hearing, fly on for all the delays there are, and stop.
-    link = Link(loss_probability=0.2, outage=0.2, outage_share=0.3, round=0.05)
+    link = Link(loss_probability=0.2, outage=0.05, outage_share=0.3, round=0.01)
     mission = two_vehicles(link)
     V, reach = 0.9, mission.reach_unheard(mission.margin)
     assert mission.slow_speed is None
@@ -91,7 +91,7 @@ def test_a_radius_that_leaves_nothing_is_refused_with_one_that_does():
 
 
 def test_starts_faster_than_plans_are_refused_over_a_link():
-    link, leg = Link(loss_probability=0.2, round=0.1), sato.Leg(row(2, 12.0), 80)
+    link, leg = Link(loss_probability=0.2, round=0.02), sato.Leg(row(2, 12.0), 80)
     start = np.array([[0.0, 0.0, 0.6, 0.0], [0.0, 3.0, 0.0, 0.0]])
     with pytest.raises(sato.InputError, match=r"swarm\.start: agent 0 .*comm_radius_m = ") as e:
         make_mission(start, leg, link=link, comm_radius=5.5, **LIMITS)
@@ -104,6 +104,6 @@ def test_starts_faster_than_plans_are_refused_over_a_link():
 
 def test_the_period_is_as_long_as_delays_leave_room_for():
     changes = {"horizon_steps": 6, "replan_steps": None, "auction_steps": None, "max_speed": 0.4}
-    links = Link(), Link(round=0.05), Link(round=0.05, skew=0.5)
+    links = Link(), Link(round=0.01), Link(round=0.01, skew=0.5)
     missions = [two_vehicles(link, comm_radius=6.0, **changes) for link in links]
     assert [mission.replan_steps for mission in missions] == [3, 2, 1]

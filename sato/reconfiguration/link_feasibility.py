@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
 MEASURED_ROUNDS = 100  # synchronous rounds over which the time of one is averaged
-LEAST_SHARE, BISECTIONS = 100, 8  # of a value, among which one is looked for that would do
+LEAST_SHARE, BISECTIONS = 0.01, 8  # of a time, from which on one is looked for that would do
 NO_CURE = "far fewer losses and outages, and far shorter rounds"
 # Synchronous rounds of a decision with a first auction, a N + b D + c. Measured in `crossing`
 # (N = 2): 25, and `random` (50 agents, D = 6): 212.
@@ -117,12 +117,14 @@ def _check_rounds(mission: "Reconfiguration") -> None:
     if is_enough(mission, link, steps):
         return
     has = count_rounds(mission, link, steps)
-    needed, skew = needed_rounds(mission, link, has), " less the skew" if link.skew else ""
+    needed, lost = needed_rounds(mission, link, has), {"link.skew_s": link.skew}
+    lost |= {"plan.compute_s": mission.compute}
+    less = "".join(f" less {key} = {time:g}" for key, time in lost.items() if time)
     cures = _list_cures(mission) or [NO_CURE]
     raise InputError(
         "link.round_s",
         f"{link.round:g} s leave {has} rounds of messages for a decision, in replan_steps = "
-        f"{steps} of {mission.step:g} s{skew}, and it takes at least {needed:.0f}: "
+        f"{steps} of {mission.step:g} s{less}, and it takes at least {needed:.0f}: "
         f"{link.silent_rounds} to hear all neighbors, and {least_rounds(mission)} to agree, each "
         f"repeated until it is heard; {join_names(cures)} would do",
     )
@@ -133,7 +135,7 @@ def count_rounds(mission: "Reconfiguration", link: Link, steps: int) -> int:
 
     Those of an agent whose clock is behind end later, but others have gone on by then.
     """
-    return int(link.count_rounds(steps * mission.step - link.skew))
+    return int(link.count_rounds(max(steps * mission.step - mission.compute - link.skew, 0.0)))
 
 
 def is_enough(mission: "Reconfiguration", link: Link, steps: int) -> bool:
@@ -200,9 +202,9 @@ def _list_cures(mission: "Reconfiguration") -> list[str]:
         return is_enough(mission, replace(link, round=round), steps)
 
     cures = []
-    if (late := _find_most(is_soon, link.late)) is not None:
+    if (late := _find_most(is_soon, link.late, 0.5)) is not None:
         cures.append(f"link.late = {int(late)}")
-    if (time := _find_most(is_fast, link.round)) is not None:
+    if (time := _find_most(is_fast, link.round, LEAST_SHARE * link.round)) is not None:
         cures.append(f"link.round_s = {round_down(time)}")
     longer = [
         k for k in range(steps + 1, mission.horizon_steps + 1) if not mission.auction_steps % k
@@ -212,12 +214,12 @@ def _list_cures(mission: "Reconfiguration") -> list[str]:
     return cures
 
 
-def _find_most(does: Callable[[float], bool], most: float) -> float | None:
-    # The largest value up to one with which it does, by bisection; none if that is far less.
+def _find_most(does: Callable[[float], bool], most: float, least: float) -> float | None:
+    # The largest value up to one with which it does, by bisection; none if that is below another.
     low = most
     while not does(low):
         low /= 2
-        if low <= most / LEAST_SHARE:
+        if low < least:
             return None
     high = min(2 * low, most)
     for _ in range(BISECTIONS):
