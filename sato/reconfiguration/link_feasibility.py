@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 MEASURED_ROUNDS = 100  # synchronous rounds over which the time of one is averaged
 LEAST_SHARE, BISECTIONS = 0.01, 8  # of a time, from which on one is looked for that would do
+SLOW_SHARE = 0.9  # of the full speed, below which plans are slow
 NO_CURE = "far fewer losses and outages, and far shorter rounds"
 # Synchronous rounds of a decision with a first auction, a N + b D + c. Measured in `crossing`
 # (N = 2): 25, and `random` (50 agents, D = 6): 212.
@@ -238,12 +239,13 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
             "messages that are lost or late change nothing, for link.round_s is 0 and decisions "
             "wait for all; a time that rounds take would do"
         )
-    if (link.round or link.skew) and (slow := mission.slow_speed) is not None:
+    fastest, slow = float(mission.top_speeds.max()), mission.slow_speed
+    if (link.round or link.skew) and slow is not None and slow < SLOW_SHARE * fastest:
         radius = mission.radius_for_full_speed
         cure = f"; swarm.comm_radius_m = {round_up(radius)} would do" if radius < inf else ""
         doubts.append(
             f"over this [link] vehicles plan to fly at {slow:.3g} m/s, from which they stop before "
-            f"they meet others unheard, and not at {mission.top_speeds.max():.3g}{cure}"
+            f"they meet others unheard, and not at {fastest:.3g}{cure}"
         )
     return doubts + (_doubt_rounds(mission) if link.round else [])
 
