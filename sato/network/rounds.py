@@ -5,9 +5,11 @@ messages of its neighbors. `run_round` alone calls such functions.
 
 Code that computes the same for all agents at once is called batched. It pretends three things:
 all agents act in lock step, a message is heard by all neighbors one round after it was sent,
-and none is lost. (CBAA alone models delay and loss.) Each batched path is tested to be equal to
-its definition by messages, in `network.flooding`, `auctions.bidder`, `scp.planner` or
-`tests/messages.py`, and the whole decision of an instant to `reconfiguration.agent`:
+and none is lost. Where some are, repetition makes up for it: `network.synchronizer` computes in
+which rounds of the network agents get through those that are pretended here. (CBAA has a model of
+delay and loss of its own.) Each batched path is tested to be equal to its definition by messages,
+in `network.flooding`, `auctions.bidder`, `scp.planner` or `tests/messages.py`, and the whole
+decision of an instant to `reconfiguration.agent`:
 
     definition                  batched
     Census                      CommunicationGraph.diameter
