@@ -371,14 +371,12 @@ def test_network_of_the_same_size_with_another_member_has_changed():
     assert has_changed_network(claim_step, exchanged).all()
     assert not has_changed_network(np.full((3, 3), -1), beside).any()
     for changed, numbers in ((False, (0, 1)), (True, (0, 2)), (True, (1,)), (True, (0, 1, 2))):
-        hellos = [
-            Hello(i, (0, 0), False, False, False, 0, claims_of(claim_step[i])) for i in numbers
-        ]
+        hellos = []
+        for i in numbers:
+            own = claim_step[i, i]
+            together = census.checksum_members(np.flatnonzero(claim_step[i] == own).tolist())
+            hellos.append(Hello(i, (0, 0), False, False, False, 0, int(own), together))
         assert census.has_changed_network(hellos) is changed
-
-
-def claims_of(step):
-    return tuple((a, k, a) for a, k in enumerate(step.tolist()) if k >= 0)
 
 
 @pytest.mark.parametrize("change", ["loss", "join"])

@@ -39,4 +39,6 @@ def _result(auction: VsdaaAuction, target_index: np.ndarray, m: np.ndarray) -> V
         last_bid_round=0,
         stop_round=np.zeros_like(m),
         price=np.zeros_like(auction.cost),
+        message_count=np.zeros_like(m),
+        entry_count=np.zeros_like(m),
     )

@@ -17,7 +17,7 @@ again, and when a bid on its target arrives; and all merge at a pause and at the
 the rounds with those of `VsdaaBidder`, one agent with its memory and inbox.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
@@ -26,11 +26,10 @@ from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
-from sato.network.graph import CommunicationGraph
+from sato.network.graph import FAR, CommunicationGraph
 
 NO_WINNER = -1  # winner of a target without a standing bid
 ANONYMOUS = 0  # winner of every standing bid where bids carry no number
-FAR = 2**30  # hops between two components
 MIN_ROOM = 100_000  # for bids in the log
 CACHE_LINE = 8  # numbers
 DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
@@ -109,6 +108,8 @@ class VsdaaResult(NamedTuple):
     last_bid_round: int
     stop_round: Int[Array, " agents"]  # in which each agent stopped
     price: Float[Array, "agents targets"]  # signed, as each agent knows it
+    message_count: Int[Array, " agents"]  # rounds after which the agent has news to tell
+    entry_count: Int[Array, " agents"]  # prices that have changed, over all of these
 
 
 def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
@@ -118,7 +119,8 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
         OutOfTargets: A component has more agents than there are targets.
     """
     state = init_state(auction.cost, auction.graph, auction.target_count)
-    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids):
+    dropped: list[BidLog] = []
+    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped=dropped):
         pass
     stopped = np.where(auction.graph.alive, state.last_news_round + state.patience, 0)
     return VsdaaResult(
@@ -130,7 +132,50 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
         last_bid_round=int(state.last_bid_round.max(initial=0)),
         stop_round=stopped,
         price=state.price,
+        **_count_news(state, dropped),
     )
+
+
+def _count_news(state: "VsdaaState", logs: Sequence["BidLog"]) -> dict[str, Int[Array, " agents"]]:
+    """Count the changes of each agent's prices, and the rounds after which there are any.
+
+    A bid changes what an agent knows if it arrives before every newer one on its target.
+    """
+    agent, round, target, winner, price = (
+        np.concatenate(parts) for parts in list(zip(*logs, strict=True))[:5]
+    )
+    order = np.lexsort((winner, -np.abs(price), target))  # of each target the newest first
+    agent, round, target, winner, price = (
+        part[order] for part in (agent, round, target, winner, price)
+    )
+    is_other, is_same = np.ones((2, len(agent)), dtype=bool)
+    is_other[1:] = target[1:] != target[:-1]
+    is_same[1:] = (price[1:] == price[:-1]) & (winner[1:] == winner[:-1]) & ~is_other[1:]
+    counts = np.zeros((2, len(state.alive)), dtype=np.int64)
+    last = int(round.max(initial=0)) + int(state.most_hops[0])
+    told = np.full(last + 1, -1, dtype=np.int32)
+    _count_changes(state.hops, told, agent, round, is_other, is_same, *counts)
+    return {"message_count": counts[0], "entry_count": counts[1]}
+
+
+@njit(cache=True)
+@no_type_check
+def _count_changes(hops, told, agent, round, is_other, is_same, messages, entries):
+    for i in range(len(hops)):
+        own, k, first, changes, rounds = hops[i], 0, FAR, 0, 0
+        while k < len(agent):
+            first = FAR if is_other[k] else first
+            at = round[k] + own[agent[k]]
+            k += 1
+            while k < len(agent) and is_same[k]:
+                at = min(at, round[k] + own[agent[k]])
+                k += 1
+            if at < first:
+                first = at
+                changes += 1
+                rounds += told[at] != i
+                told[at] = i
+        entries[i], messages[i] = changes, rounds
 
 
 class VsdaaState(NamedTuple):
@@ -180,6 +225,11 @@ class BidLog(NamedTuple):
         size = np.zeros(2, dtype=np.int64)
         return cls(agent, round, target, winner, np.empty(room), arrived, size)
 
+    def select(self, end: int) -> "BidLog":
+        """Return a copy of the first bids."""
+        columns = (part[:end].copy() for part in self)
+        return BidLog(*columns)._replace(size=np.array([0, end]))
+
 
 def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
     """Initialize all agents, with the largest m of their component."""
@@ -188,7 +238,7 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
     return VsdaaState(
         cost=np.ascontiguousarray(cost, dtype=np.float64),
         alive=graph.alive,
-        hops=np.where(np.isfinite(graph.hops), graph.hops, FAR).astype(np.int32),
+        hops=graph.hops,
         most_hops=graph.diameter.max(initial=0, keepdims=True),
         patience=2 * graph.diameter,
         price=np.zeros((agents, targets)),
@@ -214,9 +264,15 @@ def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> V
 
 
 def run_kernel(
-    state: VsdaaState, epsilon: float, bidder_ids: bool, stride: int = 2**62
+    state: VsdaaState,
+    epsilon: float,
+    bidder_ids: bool,
+    stride: int = 2**62,
+    dropped: list[BidLog] | None = None,
 ) -> Iterator[None]:
     """Run all rounds in which something happens, pausing after every `stride` of them.
+
+    All bids are appended to `dropped`, a log after another.
 
     Raises:
         OutOfTargets: An agent found all targets taken.
@@ -227,12 +283,16 @@ def run_kernel(
         before, last_round = int(state.round[0]), int(state.round[0]) + stride
         rules = last_round, float(epsilon), bidder_ids
         while (outcome := _advance(*rules, state, log)) == LOG_FULL:
+            if dropped is not None:
+                dropped.append(log.select(int(log.size[0])))
             log = _make_room(state, log)
         if outcome < 0:
             raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
         if state.round[0] > before:
             yield
         if outcome == DONE:
+            if dropped is not None:
+                dropped.append(log.select(int(log.size[1])))
             return
 
 

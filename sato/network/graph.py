@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import no_type_check
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
+from numba import njit
 from numpy import ndarray as Array
 
 ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
+FAR = 2**30  # hops between two components
+WORD = 64  # bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +33,7 @@ class CommunicationGraph:
                 f"the adjacency of {len(self.alive)} agents needs as many rows and columns, got "
                 f"{self.adjacency.shape}"
             )
-        i, j = self._edges
+        i, j = self.edges
         is_directed, is_lost = self.adjacency[j, i] == 0, self.alive[i] == 0
         if is_directed.any():
             k = is_directed.argmax()
@@ -83,15 +87,21 @@ class CommunicationGraph:
         return tuple(np.flatnonzero(row) for row in self.adjacency)
 
     @cached_property
-    def _edges(self) -> tuple[Int[Array, " edges"], Int[Array, " edges"]]:
-        # Both agents of each edge, in order; an edge each way.
+    def edges(self) -> tuple[Int[Array, " edges"], Int[Array, " edges"]]:
+        """Both agents of each edge, in order; an edge each way."""
         i, j = np.nonzero(self.adjacency)
         return i, j
 
     @cached_property
+    def lists(self) -> tuple[Int[Array, " entries"], Int[Array, " edges"]]:
+        """Place of the first neighbor of each agent in a list of all, and that list."""
+        i, j = self.edges
+        return np.searchsorted(i, np.arange(len(self.alive) + 1)), j
+
+    @cached_property
     def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Both agents of each pair of neighbors, the one of lower number first, in order."""
-        i, j = self._edges
+        i, j = self.edges
         return i[i < j], j[i < j]
 
     def pairs_among(
@@ -112,13 +122,19 @@ class CommunicationGraph:
         return label_components(self.adjacency, self.alive)
 
     @cached_property
-    def hops(self) -> Float[Array, "agents agents"]:
-        """Length of a shortest path between two agents; infinite between components."""
-        return np.asarray(
-            scipy.sparse.csgraph.shortest_path(
-                scipy.sparse.csr_array(self.adjacency), directed=False, unweighted=True
-            )
-        )
+    def hops(self) -> Int[Array, "agents agents"]:
+        """Length of a shortest path between two agents; FAR between components."""
+        hops = np.full(self.adjacency.shape, FAR, dtype=np.int32)
+        np.fill_diagonal(hops, 0)
+        _count_hops(*self.lists, self.alive, hops, np.zeros(len(hops), dtype=np.int64))
+        return hops
+
+    @cached_property
+    def eccentricity(self) -> Int[Array, " agents"]:
+        """Hops to the farthest agent of each one's component; 0 where not alive."""
+        farthest = np.zeros(len(self.alive), dtype=np.int64)
+        _count_hops(*self.lists, self.alive, np.empty((0, 0), dtype=np.int32), farthest)
+        return farthest
 
     @cached_property
     def diameter(self) -> Int[Array, " agents"]:
@@ -126,8 +142,7 @@ class CommunicationGraph:
 
         The batched equivalent of `Census` in `network.flooding`.
         """
-        reached = np.where(np.isfinite(self.hops), self.hops, 0)
-        return self.component_max(reached.max(axis=1, initial=0).astype(np.int64))
+        return self.component_max(self.eccentricity)
 
     def component_max(self, values: Int[Array, " agents"]) -> Int[Array, " agents"]:
         """Take the largest value in each agent's component; agents not alive keep their own.
@@ -175,3 +190,42 @@ def canonicalize_labels(labels: Int[Array, " n"]) -> Int[Array, " n"]:
         _, first, inverse = np.unique(labels[live], return_index=True, return_inverse=True)
         numbers[live] = np.argsort(np.argsort(first))[inverse]
     return numbers
+
+
+@njit(cache=True)
+@no_type_check
+def _count_hops(first, neighbor, alive, hops, farthest):
+    # In each round all agents pass on, as bits, the numbers of those that they have heard of last.
+    # No hops are noted where there is no room for them.
+    agents = len(alive)
+    words = (agents + WORD - 1) // WORD
+    place = np.zeros(67, dtype=np.int64)  # of a bit, by its value modulo 67
+    for k in range(WORD):
+        place[(np.uint64(1) << np.uint64(k)) % np.uint64(67)] = k
+    known = np.zeros((agents, words), dtype=np.uint64)
+    for i in range(agents):
+        if alive[i]:
+            known[i, i // WORD] |= np.uint64(1) << np.uint64(i % WORD)
+    last, heard = known.copy(), np.zeros_like(known)
+    is_new, round = alive.copy(), 0
+    while is_new.any():
+        round += 1
+        heard[:] = 0
+        for i in range(agents):
+            for k in range(first[i], first[i + 1]):
+                if is_new[neighbor[k]]:
+                    for w in range(words):
+                        heard[i, w] |= last[neighbor[k], w]
+        for i in range(agents):
+            is_new[i] = False
+            for w in range(words):
+                bits = heard[i, w] & ~known[i, w]
+                last[i, w] = bits
+                known[i, w] |= bits
+                is_new[i] |= bits != 0
+                while bits and len(hops):
+                    rest = bits & (bits - np.uint64(1))
+                    hops[i, w * WORD + place[(bits ^ rest) % np.uint64(67)]] = round
+                    bits = rest
+            if is_new[i]:
+                farthest[i] = round

@@ -50,8 +50,13 @@ from sato.reconfiguration.agent_stages import (
     Turns,
     extend,
 )
-from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
-from sato.reconfiguration.census import Hello, check_census, has_changed_network
+from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
+from sato.reconfiguration.census import (
+    Hello,
+    check_census,
+    checksum_members,
+    has_changed_network,
+)
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.offers import Offers, is_kept, make_offers
@@ -85,7 +90,8 @@ class Decision(NamedTuple):
     is_finished: bool = False
     diameter: int = 0
     members: tuple[int, ...] = ()  # numbers of the agents of its component
-    blocked: tuple[int, ...] = ()  # targets that any of these knows to be blocked
+    has_claims: bool = False  # True once it knows the claims of all of these
+    blocked: tuple[int, ...] = ()  # targets that it knows to be blocked, and then any of these
     heard_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: target_costs.CostTable | None = None  # of the auction
@@ -122,13 +128,12 @@ class Decision(NamedTuple):
         memory = context.memory
         plans = give_up_missed(context, plans)
         due, auction_due = is_planning_due(context, plans), is_auction_due(context, plans)
-        step, target = (c[number].tolist() for c in (memory.claim_step, memory.claimed_target))
-        claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
-        clock = int(memory.clock[number])
+        step, clock = int(memory.claim_step[number, number]), int(memory.clock[number])
         is_due = bool(due[number]), bool(auction_due[number])
-        left_out = agree_on_blocked(context)
-        blocked = () if left_out is None else tuple(np.flatnonzero(left_out[number]).tolist())
-        hello = Hello(number, leg, *is_due, joins, clock, claims, blocked)
+        hello = Hello(number, leg, *is_due, joins, clock)
+        if step >= 0:
+            others = np.flatnonzero(memory.claim_step[number] == step).tolist()
+            hello = hello._replace(claim_step=step, together=checksum_members(others))
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
 
@@ -260,15 +265,15 @@ class Decision(NamedTuple):
         members = tuple(hello.agent for hello in reports)
         diameter = census.message.max_eccentricity
         heard_clock = min(hello.clock for hello in reports)
-        blocked = tuple(sorted({j for hello in reports for j in hello.blocked}))
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
-        decision = decision._replace(blocked=blocked)
         if not (has_joined or is_new or any(hello.is_auction_due for hello in reports)):
             kept = decision._keep_targets() if bids_on_change(mission) else decision
             return kept._begin_exchange()
         if mission.assignment == "given":
             return decision._take_given(reports)._begin_exchange()
-        return decision._share_claims(reports)._announce_terms("first")
+        known, i = find_all_blocked(self.context), self.number
+        blocked = () if known is None else tuple(np.flatnonzero(known[i]).tolist())
+        return decision._replace(blocked=blocked)._share_clock()._announce_terms("first")
 
     def _keep_targets(self) -> "Decision":
         """Claim again the targets that all hold, as `claim_targets`."""
@@ -290,20 +295,27 @@ class Decision(NamedTuple):
     def _note_reset(self) -> "Decision":
         return self._replace(events=({"kind": "reset", "agents": [self.number]},))
 
-    def _share_claims(self, reports: list[Hello]) -> "Decision":
-        """Take over the newest claims and the clock with the most time left, as `share_claims`."""
+    def _share_clock(self) -> "Decision":
+        """Take over the clock with the most time left, as `share_claims`."""
+        shared = self._replace(planned_cost=remaining_cost(self.plans, self.context))
+        clock = self.heard_clock
+        is_own = clock == self.context.memory.clock[self.number]
+        return shared if is_own else shared._set_clock(clock)
+
+    def _share_claims(self, reports: Reports) -> "Decision":
+        """Take over the newest claims, as `share_claims`, and blocked targets."""
         memory = self.context.memory
-        claims = sorted(claim for hello in reports for claim in hello.claims)
+        claims = sorted(claim for terms in reports for claim in terms.claims)
         newest = {a: (step, j) for a, step, j in claims}
         rows, others = len(memory.clock), max([*self.members, *newest]) + 1
         target, step = np.full((2, rows, others), -1)
         for a, claim in newest.items():
             step[self.number, a], target[self.number, a] = claim
-        cost = remaining_cost(self.plans, self.context)
         memory = replace(memory, claimed_target=target, claim_step=step)
-        shared = self._replace(context=self.context._replace(memory=memory), planned_cost=cost)
-        clock = self.heard_clock
-        return shared if clock == memory.clock[self.number] else shared._set_clock(clock)
+        blocked = tuple(sorted({j for terms in reports for j in terms.blocked}))
+        return self._replace(
+            context=self.context._replace(memory=memory), blocked=blocked, has_claims=True
+        )
 
     def _set_clock(self, clock: int) -> "Decision":
         clocks = np.full_like(self.context.memory.clock, clock)
@@ -321,9 +333,16 @@ class Decision(NamedTuple):
         assert self.table is not None
         m, i = int(self.context.memory.target_count[self.number]), self.number
         terms = AuctionTerms(i, m, target_costs.cost_range(self.table, i)[1])
+        if not self.has_claims:
+            memory = self.context.memory
+            step, target = (c[i].tolist() for c in (memory.claim_step, memory.claimed_target))
+            claims = tuple((a, step[a], target[a]) for a in range(len(step)) if step[a] >= 0)
+            terms = terms._replace(claims=claims, blocked=self.blocked)
         return self._enter(Flood(len(self.members), self.diameter, frozenset([terms])))
 
     def _begin_auction(self, flood: Flood) -> "Decision":
+        if not self.has_claims:
+            return self._share_claims(flood.message)._begin_auction(flood)
         mission, table, memory = self.context.mission, self.table, self.context.memory
         assert table is not None
         firm, ranges = None, [terms.cost_range for terms in flood.message]

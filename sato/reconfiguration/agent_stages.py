@@ -27,6 +27,8 @@ class AuctionTerms(NamedTuple):
     agent: int
     target_count: int  # m
     cost_range: float  # [m]
+    claims: tuple[tuple[int, int, int], ...] = ()  # agent, step and target, of all that it knows
+    blocked: tuple[int, ...] = ()  # targets that it knows to be blocked
     round: int = 0
 
 
@@ -137,6 +139,7 @@ class CommittedMessage(NamedTuple):
 
     path: Float[Array, "pieces 4 d"]
     clearance: float  # that two of the sender's kind would keep [m]
+    step_count: int  # of the controls
 
 
 class Holding(NamedTuple):
@@ -150,7 +153,8 @@ class Holding(NamedTuple):
     @property
     def message(self) -> CommittedMessage:
         """Message to the neighbors."""
-        return CommittedMessage(self.offers.paths[0, -1], float(self.offers.clearance[0]))
+        steps = int(self.offers.steps[0])
+        return CommittedMessage(self.offers.paths[0, -1], float(self.offers.clearance[0]), steps)
 
     @property
     def kept_offers(self) -> Offers:
@@ -177,6 +181,7 @@ class OfferMessage(NamedTuple):
     choice: int  # the larger, the shorter it follows its plan
     clearance: float  # that two of the sender's kind would keep [m]
     last_change: int  # last round in which an agent is known to have changed its choice
+    step_count: int  # of the controls that are not those of the plan
 
 
 class Choosing(NamedTuple):
@@ -193,7 +198,8 @@ class Choosing(NamedTuple):
     def message(self) -> OfferMessage:
         """Message to the neighbors."""
         path, clearance = self.offers.paths[0, self.choice], float(self.offers.clearance[0])
-        return OfferMessage(self.priority, path, self.choice, clearance, self.last_change)
+        (steps,) = self.offers.count_own_steps(np.zeros(1, int), np.array([self.choice])).tolist()
+        return OfferMessage(self.priority, path, self.choice, clearance, self.last_change, steps)
 
     @property
     def is_finished(self) -> bool:
@@ -260,7 +266,7 @@ class Turns(NamedTuple):
     @property
     def message(self) -> CommittedMessage:
         """Message to the neighbors."""
-        return CommittedMessage(self.path, self.clearance)
+        return CommittedMessage(self.path, self.clearance, self.horizon.steps)
 
     @property
     def is_finished(self) -> bool:

@@ -11,9 +11,10 @@ from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance
 from sato.auctions import VsdaaAuction, VsdaaResult, assign_centrally, assign_given, run_vsdaa
+from sato.network.encoding import AUCTION_REPORT, BID, TERMS, measure_claims
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
-from sato.reconfiguration.blocked_targets import agree_on_blocked, order_targets
+from sato.network.load import Load, count_flood, fingerprint
+from sato.reconfiguration.blocked_targets import agree_on_blocked, find_all_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -73,12 +74,14 @@ def assign_targets(
     waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(waiting, context.graph)
-    blocked = agree_on_blocked(context)
+    known = find_all_blocked(context)
+    blocked = None if known is None else agree_on_blocked(graph, known)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
     context = context._replace(memory=memory)
     auction = run_auction(context, cost, None, blocked)
-    solves, load = auction.solve_count, auction.load
+    solves, load = auction.solve_count, _count_claims(context.mission, graph, waiting, known)
+    load = load.plus(auction.load)
     is_called = needs_reset(context, auction.outcome.bidder_count, auction.won_unreachable)
     is_due = graph.component_any(graph.alive & is_called) & graph.alive
     if is_due.any():
@@ -204,9 +207,46 @@ def run_auction(
 
 
 def _count_load(auction: VsdaaResult, graph: CommunicationGraph) -> Load:
-    """Count the load of an auction: of its terms, of bids, and of reports that all have stopped."""
-    stopped = graph.component_max(auction.stop_round)
-    return Load(np.where(stopped > 0, 2 * graph.diameter + stopped, 0))
+    """Count the load of an auction: of its terms, of bids, and of reports that all have stopped.
+
+    When the first agent stops, none has had news for at least D rounds.
+    """
+    bids = graph.alive & (auction.stop_round > 0)
+    if not bids.any():
+        return Load.none(len(bids))
+    begin = np.where(bids, 0, -1)
+    terms = count_flood(graph, graph.diameter, begin, TERMS)
+    first = int(auction.stop_round[bids].min())
+    made = np.where(bids, auction.stop_round - first, -1)
+    last = graph.component_max(made) + graph.diameter
+    reports = count_flood(graph, last, made, AUCTION_REPORT)
+    news = auction.message_count, BID * auction.entry_count
+    return Load.of(graph, bids.nonzero()[0], first + last + graph.diameter, terms, news, reports)
+
+
+def _count_claims(
+    mission: Reconfiguration,
+    graph: CommunicationGraph,
+    memory: AgentMemory,
+    blocked: Bool[Array, "agents targets"] | None,
+) -> Load:
+    """Count the load of claims and blocked targets in the first terms of an auction.
+
+    Of those that are the same for several agents, each agent tells once.
+    """
+    payload, live = np.zeros(len(graph.alive), dtype=np.int64), np.flatnonzero(graph.alive)
+    if mission.assignment == "auction":
+        tables = memory.claim_step, memory.claimed_target, *([] if blocked is None else [blocked])
+        kind = np.sum([fingerprint(table) for table in tables], axis=0)[live]
+        for first, which in zip(*np.unique(kind, return_index=True)[::-1], strict=True):
+            known, count = memory.claim_step[live[first]], 0
+            if blocked is not None:
+                count = int(blocked[live[first]].sum())
+            near = graph.hops[:, live[kind == which]].min(axis=1)
+            size = measure_claims(known[known >= 0].tolist(), count)
+            payload += np.where(near < graph.diameter, size, 0)
+    none = np.zeros_like(payload)
+    return Load.of(graph, live, none, (none, payload))
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:

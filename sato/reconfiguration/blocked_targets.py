@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.obstacle_paths import ObstaclePaths, is_path_clear
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.free_motion import drift_freely, free_motion
 from sato.reconfiguration.orbital_commitment import drift_on
 from sato.reconfiguration.orbital_evasion import Flights
@@ -72,11 +73,8 @@ def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[A
     return np.array([not is_path_clear(path, wide) for path in places.paths])
 
 
-def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
-    """Find the targets that any agent of each one's component knows to be blocked; None if none.
-
-    None too where targets are given.
-    """
+def find_all_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
+    """Find the targets that each agent knows to be blocked; None if none, or if they are given."""
     graph, clock, around = context.graph, context.memory.clock, context.surroundings
     places: dict[tuple[int, int], Places] = {}
     if around is None or context.mission.assignment == "given":
@@ -87,10 +85,18 @@ def agree_on_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] 
         if when not in places:
             places[when] = find_places(context, *when)
         blocked[i] = find_blocked(context, i, places[when])
+    return blocked if blocked.any() else None
+
+
+def agree_on_blocked(
+    graph: CommunicationGraph, blocked: Bool[Array, "agents targets"]
+) -> Bool[Array, "agents targets"]:
+    """Return the targets that any agent of each one's component knows to be blocked."""
+    agreed = blocked.copy()
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
-        blocked[members] = blocked[members].any(axis=0)
-    return blocked if blocked.any() else None
+        agreed[members] = blocked[members].any(axis=0)
+    return agreed
 
 
 def order_targets(

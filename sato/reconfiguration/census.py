@@ -2,6 +2,14 @@
 
 from itertools import pairwise
 from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from sato.network import load
+from sato.network.encoding import COMMON_HELLO, HELLO
+from sato.network.load import Load, fingerprint
+from sato.reconfiguration.state import DecisionContext
 
 
 class Hello(NamedTuple):
@@ -13,13 +21,8 @@ class Hello(NamedTuple):
     is_auction_due: bool  # it calls for an auction, if this is an instant to plan
     joins: bool  # it calls for an auction at once
     clock: int
-    claims: tuple[tuple[int, int, int], ...]  # agent, step and target of each claim that it knows
-    blocked: tuple[int, ...] = ()  # targets that it knows to be blocked
-
-    @property
-    def claim_step(self) -> int:
-        """Step of its own latest claim; −1 never."""
-        return next((step for agent, step, _ in self.claims if agent == self.agent), -1)
+    claim_step: int = -1  # of its latest claim; −1 never
+    together: int = 0  # checksum of those with which it decided then
 
 
 def check_census(reports: list[Hello]) -> None:
@@ -42,5 +45,26 @@ def has_changed_network(reports: list[Hello]) -> bool:
     steps = {hello.claim_step for hello in reports}
     if len(steps) > 1 or steps == {-1}:
         return len(steps) > 1
-    together = {agent for agent, step, _ in reports[0].claims if step in steps}
-    return together != {hello.agent for hello in reports}
+    now = checksum_members([hello.agent for hello in reports])
+    return any(hello.together != now for hello in reports)
+
+
+def checksum_members(agents: list[int]) -> int:
+    """Return a checksum of the agents that decide together, in ascending order."""
+    return crc32(np.array(agents, dtype=np.int16).tobytes())
+
+
+def count_census(context: DecisionContext) -> Load:
+    """Count the load of a census: each agent passes on all reports, and what they have in common.
+
+    The batched equivalent of `flooding.Census` with reports `Hello`.
+    """
+    graph, memory, live = context.graph, context.memory, np.flatnonzero(context.graph.alive)
+    messages, payload = load.count_census(graph)
+    step, component = memory.claim_step.diagonal(), graph.component[live]
+    together = fingerprint((memory.claim_step == step[:, None]) & (step[:, None] >= 0))
+    kinds = np.stack([component, memory.clock[live], step[live], together[live]])
+    size = HELLO * np.bincount(component, minlength=1)
+    size += COMMON_HELLO * np.bincount(np.unique(kinds, axis=1)[0], minlength=len(size))
+    payload = payload + np.where(graph.alive, size[graph.component], 0)
+    return Load.of(graph, live, 3 * graph.diameter + 1, (messages, payload))

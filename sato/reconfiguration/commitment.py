@@ -10,7 +10,7 @@ Later points of an offer are at most (R_comm − R)/2 from earlier ones, so that
 not hear each other cannot meet before they do. docs/safety.md has the proof.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import product
 from typing import NamedTuple
 
@@ -23,9 +23,17 @@ from problems import convexify
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated
+from sato.network.encoding import CHOICE, CHOICE_REPORT, PRIORITY, REAL
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
-from sato.reconfiguration.evasion import ROUNDING, find_evasions, is_met, list_looks, make_report
+from sato.network.load import Load, count_flood, count_messages, mark_changes
+from sato.reconfiguration.evasion import (
+    ROUNDING,
+    find_evasions,
+    is_met,
+    list_looks,
+    make_report,
+    measure_report,
+)
 from sato.reconfiguration.offers import Offers, is_kept, make_offers, rest_at_target, steps_to_next
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
@@ -73,7 +81,7 @@ def choose_offers(
     i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
-    round, last_change = 0, np.zeros(len(graph.alive), dtype=np.int64)
+    history = [choice.copy()]
     first, second = np.where(rank[i] < rank[j], (i, j), (j, i))
     is_free = np.ones(len(i), dtype=bool)
     while True:
@@ -88,13 +96,30 @@ def choose_offers(
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
-            rounds = graph.component_max(last_change) + graph.diameter + 1
-            return Choices(choice, Load.of(offers.agents.tolist(), rounds))
-        round += 1
-        last_change[offers.agents[moved]] = round
+            return Choices(choice, _count_choosing(offers, graph, np.array(history)))
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
+        history.append(choice.copy())
         changed = np.flatnonzero(np.isin(i, moved) | np.isin(j, moved))
+
+
+def _count_choosing(
+    offers: Offers, graph: CommunicationGraph, history: Int[Array, "rounds agents"]
+) -> Load:
+    """Count the load of choices until all know that none changes, from those after each round."""
+    is_new = np.ones(history.shape, dtype=bool)
+    is_new[1:] = history[1:] != history[:-1]
+    when, rows = np.nonzero(is_new)
+    steps = offers.count_own_steps(rows, history[when, rows])
+    payload, last = np.zeros((2, len(graph.alive)), dtype=np.int64)
+    agents, d = offers.agents[rows], offers.horizon.discrete_model.B.shape[-1]
+    np.add.at(payload, agents, REAL * d * steps)
+    np.maximum.at(last, agents, when)
+    rounds = graph.component_max(last) + graph.diameter + 1
+    speaks = mark_changes(graph, rounds, (agents, when), 0)
+    speaks[offers.agents, 0] = True
+    messages = count_messages(rounds, speaks)
+    return Load.of(graph, offers.agents, rounds, (messages, payload + CHOICE * messages))
 
 
 def list_pairs(
@@ -183,6 +208,7 @@ def commit(
     cautious = [a for a in order if choice[a] == offers.last]
     flown = np.array(offers.plan_steps)[choice]
     held = offers.paths[rows, np.full(len(rows), offers.last)] if is_confirmed else paths
+    improved = dict[int, int]()  # steps of the controls
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
         T = int(offers.steps[component == component[a]].max())
@@ -197,6 +223,7 @@ def commit(
         found = improve(context, i, plans[i], horizon, paths[a, :pieces], others, clearance)
         if found is not None:
             u[a, :T], paths[a, :pieces], flown[a] = found
+            improved[a] = T
             paths[a, pieces:] = found[1][-1, -1]
     done = {i: Commitment(context.instant, u[a]) for a, i in enumerate(plans)}
     followed = {
@@ -205,24 +232,45 @@ def commit(
     met = {
         c for a, c in enumerate(component.tolist()) if is_met(context, offers, a, int(choice[a]))
     }
-    evaded = _list_evasions(context, plans, offers, u, paths, met)
+    evaded, size = _list_evasions(context, plans, offers, u, paths, met)
     done |= {i: Commitment(context.instant, own) for i, own in evaded.items()}
     followed |= {i: leave(context, plans[i]) for i in evaded}
     left = {int(offers.agents[a]) for a in cautious if flown[a] == 0}.union(evaded)
     left = {i for i in left if leaves_plan(plans[i], followed[i])}
     waits = find_waits(offers, context.graph, paths) if is_confirmed else (NOBODY, NOBODY)
-    load = load.plus(_count_load(context.graph, offers, cautious, met))
+    load = load.plus(_count_turns(context.graph, offers, cautious, improved))
+    load = load.plus(_count_evasions(context.graph, offers, size))
     return CommitmentChoice(done, followed, sorted(left), load, waits)
 
 
-def _count_load(
-    graph: CommunicationGraph, offers: Offers, cautious: list[int], met: set[int]
+def _count_turns(
+    graph: CommunicationGraph, offers: Offers, cautious: list[int], improved: Mapping[int, int]
 ) -> Load:
-    """Count the load of reports, of the turns of cautious agents, and of evasions."""
-    turns = np.bincount(graph.component[offers.agents[cautious]], minlength=len(graph.alive))
-    floods = 1 + np.isin(graph.component, list(met))
-    rounds = floods * graph.diameter + turns[graph.component]
-    return Load.of(offers.agents.tolist(), rounds)
+    """Count the load of reports, and of the turns of cautious agents.
+
+    Nobody hears what changes in the last turn.
+    """
+    d, size = offers.horizon.discrete_model.B.shape[-1], np.full(len(graph.alive), CHOICE_REPORT)
+    made = np.full_like(size, -1)
+    made[offers.agents], size[offers.agents[cautious]] = 0, CHOICE_REPORT + PRIORITY
+    reports = count_flood(graph, graph.diameter, made, size)
+    turns = np.bincount(graph.component[offers.agents[cautious]], minlength=len(size))
+    messages, payload, had = np.zeros((3, len(size)), dtype=np.int64)
+    for a in cautious:
+        i = int(offers.agents[a])
+        c = graph.component[i]
+        had[c] += 1
+        if a in improved and had[c] < turns[c]:
+            messages[i], payload[i] = 1, REAL * d * improved[a]
+    rounds = graph.diameter + turns[graph.component]
+    return Load.of(graph, offers.agents, rounds, reports, (messages, payload))
+
+
+def _count_evasions(graph: CommunicationGraph, offers: Offers, size: Int[Array, " agents"]) -> Load:
+    """Count the load of reports of these sizes."""
+    made = np.where(size > 0, 0, -1)
+    reports = count_flood(graph, np.where(size > 0, graph.diameter, 0), made, size)
+    return Load.of(graph, np.flatnonzero(size), graph.diameter, reports)
 
 
 def find_waits(
@@ -244,8 +292,13 @@ def _list_evasions(
     u: Float[Array, "agents T m"],
     paths: Float[Array, "agents pieces 4 d"],
     met: Collection[int],
-) -> dict[int, Float[Array, "_ m"]]:
-    """List new controls in the components in which something came over what an agent chose."""
+) -> tuple[dict[int, Float[Array, "_ m"]], Int[Array, " all"]]:
+    """List new controls in the components in which something came over what an agent chose.
+
+    Returns:
+        Controls of those that evade, and the bytes of all reports.
+    """
+    sizes = np.zeros(len(context.state), dtype=np.int64)
     mission, component = context.mission, context.graph.component[offers.agents]
     found: dict[int, Array] = {}
     for c in sorted(met):
@@ -256,12 +309,13 @@ def _list_evasions(
             i, kept = int(offers.agents[a]), float(offers.clearance[a])
             own = i, plans[i].priority, horizon, u[a, :T], paths[a, :pieces], kept
             reports.append(make_report(context, *own))
+            sizes[i] = measure_report(reports[-1])
         after = find_evasions(mission, horizon, reports)
         for a, i in zip(rows, offers.agents[rows].tolist(), strict=True):
             if i in after:
                 found[i], paths[a, :pieces] = after[i].u, after[i].path
                 paths[a, pieces:] = after[i].path[-1, -1]
-    return found
+    return found, sizes
 
 
 def rank_of(offers: Offers, plans: Plans) -> Int[Array, " agents"]:

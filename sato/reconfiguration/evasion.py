@@ -19,6 +19,7 @@ from problems.joint_stops import JointStopProblem, StoppingVehicle
 from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, violation
 from problems.path_separation import are_paths_separated
+from sato.network.encoding import EVASION_REPORT, INDEX, REAL
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
@@ -116,6 +117,17 @@ def make_report(
         rest_steps = _count_ahead(context, agent)[-1]
         looks = (*looks, (rest_steps, context.known_obstacles(agent, horizon)))
     return EvasionReport(agent, priority, context.state[agent], u, path, clearance, looks)
+
+
+def measure_report(report: EvasionReport) -> int:
+    """Return the bytes of a report."""
+    size = EVASION_REPORT + REAL * (report.state.size + report.u.size)
+    for _, obstacles in report.looks:
+        size += INDEX
+        if obstacles is not None:
+            of_each = 2 * obstacles.velocity.shape[1] + 1 + obstacles.corners[0].size
+            size += len(obstacles.velocity) * (INDEX + REAL * of_each)
+    return size
 
 
 def find_evasions(

@@ -10,9 +10,10 @@ from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
+from sato.network.load import PURPOSES, Load
 from sato.reconfiguration import estimator, planning, state
 from sato.reconfiguration.assignment import assign_targets, claim_targets
+from sato.reconfiguration.census import count_census
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import CommitmentChoice, commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -125,6 +126,9 @@ class _Flight:
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
             self.called += [*joined, *alarmed]
+            self.loads = [Load.none(len(self.x)) for _ in PURPOSES]
+            if not mission.lag_steps or k % mission.replan_steps == 0:
+                self.loads[0] = count_census(context)
             if not mission.lag_steps:
                 for deciding, bids in self._schedule_decisions(context, self.called):
                     own = context._replace(graph=deciding, memory=self.memory)
@@ -286,8 +290,9 @@ class _Flight:
             more = {"programs": int(rejected.sum()), "reasons": reasons}
             events.append({"kind": "fallback", "agents": which, **more})
         made = found.plans, found.committed, events, was_reset, blocked
-        rounds = np.stack([auction.rounds, exchange.rounds, found.load.rounds], axis=1)
-        return Outcome(context.graph.alive, memory, *made, rounds, waits=found.waits)
+        loads = auction, exchange, found.load
+        self.loads[1:] = [a.plus(b) for a, b in zip(self.loads[1:], loads, strict=True)]
+        return Outcome(context.graph.alive, memory, *made, loads, waits=found.waits)
 
     def _take_up(self, outcome: Outcome) -> None:
         """Let agents take up what they have decided."""

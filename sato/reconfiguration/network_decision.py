@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
+from sato.network.load import Load
 from sato.network.synchronizer import Synchronizer
 from sato.reconfiguration.commitment import NOBODY
 from sato.reconfiguration.mission import Reconfiguration
@@ -33,7 +34,7 @@ class Outcome:
     events: list[Event]
     was_reset: Bool[Array, " agents"]  # the clock was set back
     blocked: Bool[Array, "agents targets"] | None  # targets that were left out
-    rounds: Int[Array, "agents purposes"]  # synchronous ones, after the census
+    loads: tuple[Load, ...]  # of each purpose, after the census
     # Pairs of which the first commits only once it knows that the second does.
     waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
 
@@ -83,7 +84,7 @@ class Negotiations:
         for outcome in self.outcomes:
             deciding = outcome.agents
             chosen = synchronizer.advance(
-                counted, np.where(deciding, outcome.rounds.sum(axis=1), 0)
+                counted, np.where(deciding, sum(load.rounds for load in outcome.loads), 0)
             )
             chosen[~deciding] = NEVER
             through.append(confirm(synchronizer, chosen, outcome.waits) < ends)

@@ -79,6 +79,12 @@ class Offers(NamedTuple):
         low, high = self.boxes
         return (low + high) / 2, np.linalg.norm(high - low, axis=1) / 2
 
+    def count_own_steps(
+        self, rows: Int[Array, " k"], choices: Int[Array, " k"]
+    ) -> Int[Array, " k"]:
+        """Count the steps of choices in which they do not follow the plan."""
+        return np.asarray(np.maximum(self.steps[rows] - np.array(self.plan_steps)[choices], 0))
+
     @property
     def last(self) -> int:
         """Choice of the committed trajectory."""

@@ -10,6 +10,7 @@ then, or by disturbances. Such an agent has nothing safe to keep, and commits to
 in which that is so at the start, and plans are not clear of each other either, is refused.
 """
 
+from collections.abc import Sequence
 from math import ceil
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from numpy import ndarray as Array
 
 from problems.drifts import Drifts
 from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
+from sato.network.encoding import CHOICE, CLEARANCE, REAL
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.reconfiguration.commitment import (
@@ -62,13 +64,7 @@ def make_orbital_offers(
         heard_clock: Clock with the most time left in their component, as it was announced.
     """
     mission, agents = context.mission, np.array(list(plans))
-    planned = [plan.trajectory.u for plan in plans.values()]
-    held = [committed_controls(mission, i, committed, context.instant) for i in plans]
-    # All of a component divide time alike. Given a target, an agent alone knows of its reset.
-    clock = min(heard_clock, *context.memory.clock[agents].tolist())
-    first = 0 if mission.assignment == "given" else clock
-    lengths = map(len, planned + held)
-    steps = max(mission.horizon_steps, context.leg.steps - first, *lengths)
+    held, clock, steps = _divide_time(context, plans, committed, heard_clock)
     x, u = fly_plans(context, plans, steps)
     held_u = pad_controls(held, steps)
     held_x = simulate(mission, context.state[agents], held_u, context.time, mission.step)
@@ -96,6 +92,22 @@ def make_orbital_offers(
     if not mission.has_surroundings:
         return offers, {}
     return _avoid_obstacles(context, flights, offers)
+
+
+def _divide_time(
+    context: DecisionContext, plans: Plans, committed: Commitments, heard_clock: int
+) -> tuple[list[Float[Array, "_ m"]], int, int]:
+    """Return committed controls, the clock of a component, and the steps of its offers.
+
+    All of a component divide time alike. Given a target, an agent alone knows of its reset.
+    """
+    mission = context.mission
+    held = [committed_controls(mission, i, committed, context.instant) for i in plans]
+    planned = [plan.trajectory.u for plan in plans.values()]
+    clock = min(heard_clock, *context.memory.clock[list(plans)].tolist())
+    first = 0 if mission.assignment == "given" else clock
+    lengths = map(len, planned + held)
+    return held, clock, max(mission.horizon_steps, context.leg.steps - first, *lengths)
 
 
 def _avoid_obstacles(
@@ -205,7 +217,10 @@ def commit_in_orbit(
         is_empty = around is None or not around.is_known[members].any()
         if is_empty and (len(members) == 1 or are_plans_clear(context, own)):
             done |= {i: Commitment(context.instant, plan.trajectory.u) for i, plan in own.items()}
-            load = load.plus(Load.of(members, HOLDING_ROUNDS + graph.diameter + 1))
+            steps = _divide_time(context, own, committed, int(heard[members[0]]))[-1]
+            load = load.plus(_count_holding(graph, members, steps, context.mission.axes))
+            rounds, once = graph.diameter + 1, np.isin(np.arange(len(clocks)), members).astype(int)
+            load = load.plus(Load.of(graph, members, rounds, (once, CHOICE * once)))
             continue
         offers, detours = make_orbital_offers(context, own, committed, int(heard[members[0]]))
         for row, each in detours.items():
@@ -224,7 +239,7 @@ def commit_in_orbit(
     flown |= {i: leave(context, plans[i]) for i in evading}
     left = {i for i in kept if leaves_plan(plans[i])}.union(evading)
     if context.mission.is_passively_safe:  # others pass on each message
-        load = Load(load.rounds * np.maximum(context.graph.diameter, 1))
+        load = load.relayed(context.graph.diameter)
     return CommitmentChoice(done, flown, sorted(left), load)
 
 
@@ -261,9 +276,22 @@ def choose_in_orbit(
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
     choice, load = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
-    rounds = np.full_like(load.rounds, HOLDING_ROUNDS)
-    load = load.plus(Load.of(offers.agents.tolist(), rounds))
+    own = offers.agents, int(offers.steps[0]), offers.horizon.discrete_model.B.shape[-1]
+    load = load.plus(_count_holding(graph, *own))
     return OrbitalChoices(choice, choice == offers.last, load)
+
+
+def _count_holding(
+    graph: CommunicationGraph,
+    agents: Sequence[int] | Int[Array, " some"],
+    steps: int,
+    axes: int,
+) -> Load:
+    """Count the load of what agents have committed to, of so many steps, told once."""
+    rounds = np.full(len(graph.alive), HOLDING_ROUNDS)
+    once = np.isin(np.arange(len(rounds)), agents).astype(int)
+    size = CLEARANCE + REAL * axes * (2 + steps)
+    return Load.of(graph, agents, rounds, (once, size * once))
 
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:

@@ -73,7 +73,7 @@ def plan_trajectories(
     hears_all = bool(graph.adjacency.sum() == N * (N - 1))
     plans, relaxed = make_plans(context, resolved, unreachable, previous, hears_all)
     if mission.is_passively_safe:  # others pass on each message
-        load = Load(load.rounds * np.maximum(context.graph.diameter, 1))
+        load = load.relayed(context.graph.diameter)
     return Planning(plans, [{"kind": "replan", "agents": [], **replan}, *relaxed], load)
 
 

@@ -30,6 +30,7 @@ class PathMessage(NamedTuple):
     clearance: float  # that two of the sender's kind would keep [m]
     target: Float[Array, " d"]  # position [m]
     is_delayed: bool
+    number_count: int = 0  # real numbers that tell the path of a planner that has just begun
 
 
 def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
@@ -64,7 +65,8 @@ def path_message(agent: Planner) -> PathMessage:
     """Return the message of an agent whose path is pushed aside."""
     path, d = agent.control_points[:, 0], agent.control_points.shape[-1]
     target = agent.horizon.scale_points(agent.target_state[:d])
-    return PathMessage(agent.priority[0], path, agent.horizon.clearance, target, agent.is_delayed)
+    own = agent.horizon.clearance, target, agent.is_delayed, agent.number_count
+    return PathMessage(agent.priority[0], path, *own)
 
 
 def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:

@@ -1,14 +1,18 @@
 """Method 2 for all agents: exchange trajectories until all are final."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Int
+from numpy import ndarray as Array
 
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_paths_separated
+from sato.network.encoding import CLEARANCE, EXCHANGE_REPORT, FLAG, PRIORITY, REAL, has_moved
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
+from sato.network.load import Load, count_flood
 from sato.network.rounds import run_round
 from sato.scp.planner import Planner, may_have_to_solve, update_planner
 
@@ -33,11 +37,45 @@ def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> Excha
 
 
 def _count_load(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
-    """Count the load of an exchange: D rounds after the last trajectory is final, all know it."""
-    rounds = np.zeros(len(graph.alive), dtype=np.int64)
-    for planners in history:
-        rounds[[i for i, agent in planners.items() if not agent.is_final]] += 1
-    return Load.of(list(history[0]), graph.component_max(rounds) + graph.diameter)
+    """Count the load of an exchange: D rounds after the last trajectory is final, all know it.
+
+    Those that have met know the trajectories with which the exchange begins.
+    """
+    made, payload = np.full(len(graph.alive), -1), np.zeros(len(graph.alive), int)
+    speaks = np.zeros((len(made), len(history) + int(graph.diameter.max(initial=0))), dtype=bool)
+    for i, agent in history[0].items():
+        known = 0 if agent.in_turn else CLEARANCE + REAL * agent.number_count
+        payload[i], speaks[i, 0] = PRIORITY + known, True
+    for round, (before, after) in enumerate(pairwise(history), 1):
+        made[[i for i, agent in after.items() if agent.is_final and not before[i].is_final]] = round
+        for i, size in measure_changes(before, after).items():
+            speaks[i, round] = True
+            payload[i] += size
+    rounds = graph.component_max(made) + graph.diameter
+    messages, reports = count_flood(graph, rounds, made, EXCHANGE_REPORT, speaks)
+    payload += reports + FLAG * messages
+    return Load.of(graph, list(history[0]), rounds, (messages, payload))
+
+
+def count_trajectories(
+    planners: Mapping[int, Planner], graph: CommunicationGraph, rounds: Int[Array, " agents"]
+) -> Load:
+    """Estimate from above the load of rounds in which an agent tells no more than a trajectory."""
+    size = np.zeros(len(graph.alive), dtype=np.int64)
+    for i, agent in planners.items():
+        size[i] = FLAG + PRIORITY + CLEARANCE + REAL * agent.number_count
+    return Load.of(graph, list(planners), rounds, (rounds, rounds * size))
+
+
+def measure_changes(before: Mapping[int, Planner], after: Mapping[int, Planner]) -> dict[int, int]:
+    """Return the bytes of the trajectories that have changed, by the numbers of the agents."""
+    return {
+        i: REAL * agent.number_count
+        for i, agent in after.items()
+        if agent is not before[i]
+        and agent.control_points is not before[i].control_points
+        and has_moved(agent.control_points, before[i].control_points, agent.horizon.clearance).any()
+    }
 
 
 def run_batched(

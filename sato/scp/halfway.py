@@ -19,10 +19,12 @@ import numpy as np
 
 from problems.avoidance import Relaxation
 from problems.path_separation import are_paths_separated
+from sato.network.encoding import FIRST_PATH, LAST_CHANGE, REAL, measure_shift
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
+from sato.network.load import Load, count_messages, mark_changes
 from sato.network.rounds import run_round
 from sato.scp.bending import bend_all, can_move, stack_paths
+from sato.scp.exchange import measure_changes
 from sato.scp.planner import VIOLATION_TOLERANCE, Planner, TrajectoryMessage, solve_around
 from sato.scp.spreading import spread_all
 
@@ -58,7 +60,8 @@ def meet_halfway(planners: Mapping[int, Planner], graph: CommunicationGraph) -> 
     meetings = _repeat(MEETINGS, _solve_all, bends[-1], graph)
     done = {i: come_after(agent) for i, agent in meetings[-1].items()}
     count = 1 + min(len(bends), MAX_BENDS) + min(len(meetings), MEETINGS)
-    return MeetingResult(done, count, _count_load([*spread, *bends[1:]], graph))
+    load = _count_bending([*spread, *bends[1:]], graph).plus(_count_meetings(meetings, graph))
+    return MeetingResult(done, count, load)
 
 
 def _repeat(
@@ -75,14 +78,38 @@ def _repeat(
     return history
 
 
-def _count_load(bends: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
-    """Count the load of paths that bend until all know that none moves, and of the meetings."""
-    last = np.zeros(len(graph.alive), dtype=np.int64)
-    last[list(bends[0])] = 1  # paths spread in the first round
-    for round, (before, after) in enumerate(pairwise(bends), 1):
-        last[[i for i, agent in after.items() if agent is not before[i]]] = round
-    bending = graph.component_max(last) + graph.diameter + 1
-    return Load.of(list(bends[0]), bending + MEETINGS)
+def _count_bending(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+    """Count the load of paths that bend until all know that none moves."""
+    first, payload = history[0], np.zeros(len(graph.alive), dtype=np.int64)
+    for i, agent in first.items():
+        numbers = agent.control_points.shape[-1] + agent.number_count
+        payload[i] = FIRST_PATH + REAL * numbers
+    moves = list[tuple[int, int]]()
+    for round, (before, after) in enumerate(pairwise(history), 1):
+        for i in [i for i, agent in after.items() if agent is not before[i]]:
+            was, now = (planners[i].control_points[:, 0] for planners in (before, after))
+            payload[i] += measure_shift(was, now, after[i].horizon.clearance)
+            moves.append((i, round))
+    agents, when = np.array(moves, dtype=np.int64).reshape(-1, 2).T
+    last = np.ones_like(payload)  # paths spread in the first round
+    np.maximum.at(last, agents, when)
+    rounds = graph.component_max(last) + graph.diameter + 1
+    speaks = mark_changes(graph, rounds, (agents, when), 1)
+    speaks[list(first), 0] = True
+    speaks[agents[when == 1], 1] = True
+    messages = count_messages(rounds, speaks)
+    return Load.of(graph, list(first), rounds, (messages, payload + LAST_CHANGE * messages))
+
+
+def _count_meetings(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+    """Count the load of trajectories that change; the exchange begins with the last."""
+    messages, payload = np.zeros((2, len(graph.alive)), dtype=np.int64)
+    for round, pair in enumerate(pairwise(history), 1):
+        for i, size in measure_changes(*pair).items():
+            payload[i] += size
+            messages[i] += round < MEETINGS
+    rounds = np.full_like(messages, MEETINGS)
+    return Load.of(graph, list(history[0]), rounds, (messages, payload))
 
 
 def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:

@@ -23,6 +23,7 @@ from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
+from sato.scp.exchange import count_trajectories
 from sato.scp.planner import (
     ACTIVE_TOLERANCE,
     NEARBY_FACTOR,
@@ -95,7 +96,8 @@ def negotiate(
     for _ in range(sweeps):
         looking = {i for i in continuing if any(costs[i])}
         turns = schedule_pairs(now, graph, looking)
-        load = load.plus(_count_load(turns, graph, looking))
+        part = {i: now[i] for i in sorted(looking)}
+        load = load.plus(_count_load(part, graph, turns))
         rounds += 1 + flooding
         if not turns:
             break
@@ -110,13 +112,14 @@ def negotiate(
 
 
 def _count_load(
-    turns: Iterable[Mapping[int, int]], graph: CommunicationGraph, looking: Iterable[int]
+    planners: Mapping[int, Planner], graph: CommunicationGraph, turns: Iterable[Mapping[int, int]]
 ) -> Load:
     """Count the load of a sweep: a flood of pairs, their turns, and a flood of costs."""
     pairs = np.zeros(len(graph.alive), dtype=np.int64)
     for turn in turns:
         pairs[graph.component[[i for i, partner in turn.items() if i < partner]]] += 1
-    return Load.of(list(looking), 1 + 2 * graph.diameter + 3 * pairs[graph.component])
+    rounds = 1 + 2 * graph.diameter + 3 * pairs[graph.component]
+    return count_trajectories(planners, graph, rounds)
 
 
 def _has_improved(before: PriorityCost, cost: PriorityCost) -> bool:

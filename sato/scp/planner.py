@@ -68,6 +68,7 @@ class TrajectoryMessage(NamedTuple):
     is_final: bool
     clearance: float  # that two of the sender's kind would keep [m]
     drifts: Drifts | None = None  # where it is to be passively safe
+    number_count: int = 0  # real numbers that tell its path
 
 
 class Planner(NamedTuple):
@@ -105,7 +106,17 @@ class Planner(NamedTuple):
         """Message to the neighbors."""
         parts = self.priority, self.control_points, self.is_final
         drifts = self.passive and self.passive.own
-        return TrajectoryMessage(*parts, self.horizon.clearance, drifts)
+        return TrajectoryMessage(*parts, self.horizon.clearance, drifts, self.number_count)
+
+    @property
+    def number_count(self) -> int:
+        """Real numbers that tell its path: a state and controls; points of a way around obstacles.
+
+        Once it is pushed aside, it follows from this and from what has moved.
+        """
+        pieces, _, d = self.control_points.shape
+        steps = min(len(self.nominal.u), self.horizon.steps)
+        return int(d * (2 + steps + (pieces if self.control_points is self.route else 0)))
 
     @property
     def is_clear(self) -> bool:

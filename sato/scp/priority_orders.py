@@ -15,7 +15,7 @@ import numpy as np
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round
-from sato.scp.exchange import run_scp
+from sato.scp.exchange import count_trajectories, run_scp
 from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
 
 
@@ -56,7 +56,8 @@ def try_priority_orders(
     if any(map(any, costs.values())):
         kept = keep_cheaper(kept, select_clear_components(planners, graph), graph)
         rounds += 1 + flooding
-        load = load.plus(Load.of([i for i in kept if any(costs[i])], 1 + graph.diameter))
+        tell = {i: agent for i, agent in kept.items() if any(costs[i])}
+        load = load.plus(count_trajectories(tell, graph, 1 + graph.diameter))
     for _ in range(orders - 1):
         costly = [i for i, total in component_costs(kept, graph).items() if any(total)]
         if not costly:

@@ -15,6 +15,7 @@ from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
 from sato.scp import priority_orders
+from sato.scp.exchange import count_trajectories
 from sato.scp.negotiation import negotiate
 from sato.scp.planner import Planner, TrajectoryMessage, solve_around
 
@@ -42,7 +43,8 @@ def resolve_conflicts(
     negotiated = negotiate(ordered.planners, graph, sweeps)
     kept = negotiated.planners
     flooding = int(graph.diameter[list(kept)].max(initial=0))
-    trials, floods, load = [ordered, negotiated], 1, Load.of(list(kept), graph.diameter)
+    trials, floods = [ordered, negotiated], 1
+    load = count_trajectories(kept, graph, graph.diameter)
     able = priority_orders.select_components(planners, graph, can_use_roundabout)
     for offset in OFFSETS:
         totals = priority_orders.component_costs(kept, graph)
@@ -50,7 +52,7 @@ def resolve_conflicts(
         trials.append(solve_roundabout(costly, graph, offset))
         if trials[-1].planners:
             trials.append(negotiate(trials[-1].planners, graph, sweeps))
-            load = load.plus(Load.of(list(trials[-1].planners), graph.diameter))
+            load = load.plus(count_trajectories(trials[-1].planners, graph, graph.diameter))
             kept = priority_orders.keep_cheaper(kept, trials[-1].planners, graph)
             floods += 1
     for trial in trials:
@@ -96,7 +98,8 @@ def solve_roundabout(
             rounds += 1
         rounds += 1 + int(graph.diameter[list(now)].max())
         turns = np.bincount(graph.component[list(now)], minlength=len(graph.alive))
-        load = load.plus(Load.of(list(now), turns[graph.component] + 1 + graph.diameter))
+        taken = turns[graph.component] + 1 + graph.diameter
+        load = load.plus(count_trajectories(now, graph, taken))
         clear = priority_orders.select_clear_components(now, graph)
         done |= priority_orders.select_components(
             clear, graph, lambda agent: agent.reaches_target(agent.nominal)
