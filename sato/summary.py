@@ -6,6 +6,9 @@ from typing import Any
 LABELS = {  # of entries that end as if they had a unit, or are named differently in prose
     "fuel_per_agent_m_s": ("Δv per spacecraft", "m/s"),
     "bytes_per_vehicle_s": ("sent by each vehicle", "bytes/s"),
+    "bytes_received_max": ("received by an agent, at most", "bytes"),
+    "messages_received_max": ("received by an agent, at most", "messages"),
+    "auction_rounds_max": ("auctions of an instant, at most", "rounds"),
 }
 
 

@@ -141,6 +141,8 @@ def fly_straight(mission, own_targets=False, controls=None):
                 target_count=believed,
                 measured_position=None,
                 measured_velocity=None,
+                rounds=None,
+                received=None,
                 events=tuple(events),
             )
         )

@@ -57,7 +57,7 @@ def frames(
         alive, component = np.array([True, k < 2]), np.array([0, 0 if k < 2 else -1])
         leg, target, count = int(k >= 2), np.array([1, 0 if k < 2 else -1]), np.array([2, 2])
         flown = float(k), position, velocity, alive, component, control, applied
-        found.append(ReconfigurationFrame(*flown, leg, target, count, *seen, events[k]))
+        found.append(ReconfigurationFrame(*flown, leg, target, count, *seen, None, None, events[k]))
     return found
 
 

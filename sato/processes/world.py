@@ -269,6 +269,8 @@ class World:
             target_count=counts,
             measured_position=None if seen is None else seen[:, :d],
             measured_velocity=None if seen is None else seen[:, d:],
+            rounds=None,
+            received=None,
             events=events,
         )
 

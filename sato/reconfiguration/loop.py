@@ -93,6 +93,8 @@ class _Flight:
         tolerance = mission.tolerance or TOLERANCE
         self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
+        self.loads = [Load.none(len(m)) for _ in PURPOSES]  # at this instant
+        self.received = np.zeros((2, len(m), len(PURPOSES)), dtype=np.int64)  # until now
 
     def fly_leg(self, number: int) -> Iterator[state.ReconfigurationFrame]:
         """Fly until all agents have arrived."""
@@ -126,7 +128,6 @@ class _Flight:
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
             self.called += [*joined, *alarmed]
-            self.loads = [Load.none(len(self.x)) for _ in PURPOSES]
             if not mission.lag_steps or k % mission.replan_steps == 0:
                 self.loads[0] = count_census(context)
             if not mission.lag_steps:
@@ -417,7 +418,9 @@ class _Flight:
     ) -> state.ReconfigurationFrame:
         """Record this instant, and the events since the last one."""
         d, events = self.mission.axes, tuple(self.events)
-        self.events = []
+        rounds, *received = (np.stack(part, axis=1) for part in zip(*self.loads, strict=True))
+        self.received = self.received + received
+        self.events, self.loads = [], [Load.none(len(self.x)) for _ in PURPOSES]
         return state.ReconfigurationFrame(
             time=self.step_index * self.mission.step,
             position=self.x[:, :d],
@@ -431,5 +434,7 @@ class _Flight:
             target_count=self.memory.target_count,
             measured_position=None if measured is None else measured[:, :d],
             measured_velocity=None if measured is None else measured[:, d:],
+            rounds=rounds.max(axis=0),
+            received=self.received,
             events=events,
         )

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray as Array
 
+from sato.network.load import PURPOSES
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 
@@ -28,6 +29,13 @@ class ReconfigurationVariables(NamedTuple):
     target_velocity: Annotated[Targets, "m/s", "velocity of each target, NaN where none"]
     targets_believed: Annotated[
         Int[Array, "leg agent"], "1", "targets that the agent bids on at the end, -1 none"
+    ]
+    purpose: Annotated[Shaped[Array, " purpose"] | None, "1", "purpose of messages"]
+    received_messages: Annotated[
+        Int[Array, "agent purpose"] | None, "1", "messages that the agent received"
+    ]
+    received_bytes: Annotated[
+        Int[Array, "agent purpose"] | None, "byte", "size of these messages with headers"
     ]
     element: Annotated[Shaped[Array, " element"] | None, "1", "orbital element of the chief"]
     chief: Annotated[
@@ -70,6 +78,9 @@ def collect_variables(
         target_position=position,
         target_velocity=velocity,
         targets_believed=counts,
+        purpose=None if frames[-1].received is None else np.array(PURPOSES),
+        received_messages=None if frames[-1].received is None else frames[-1].received[0],
+        received_bytes=None if frames[-1].received is None else frames[-1].received[1],
         element=np.array(CHIEF_ELEMENTS) if known else None,
         chief=np.array(known) if known else None,
     )

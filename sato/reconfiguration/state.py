@@ -159,4 +159,8 @@ class ReconfigurationFrame(NamedTuple):
     target_count: Annotated[Indices, "1", "number of targets that the agent bids on"]
     measured_position: Annotated[Vectors | None, "m", "position as the agent measures it"]
     measured_velocity: Annotated[Vectors | None, "m/s", "velocity as the agent measures it"]
+    rounds: Annotated[
+        Int[Array, " purpose"] | None, "1", "synchronous rounds of messages, in the largest network"
+    ]
+    received: Int[Array, "2 agent purpose"] | None  # messages and bytes since the start
     events: Events

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from dynamics.trajectory_geometry import min_distance, sampled_separations
 from sato.check.common import common_summary, drop_non_finite
+from sato.network.load import PURPOSES
 from sato.reconfiguration.check.fuel import (
     compute_asked_bound,
     compute_step_energy,
@@ -55,6 +56,7 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     for kind in ("slack", "braked", "infeasible", "cautious"):
         name = "slack_used" if kind == "slack" else kind
         summary[name] = sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))
+    summary |= _summarize_messages(record)
     unit = "m2_s3" if mission.objective == "energy" else "m_s"
     for leg, cost in zip(legs, assignments, strict=True):
         if cost is not None:
@@ -79,6 +81,21 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     if np.isfinite(mission.top_speeds).all() and not is_detectable(mission):
         summary["undetectable"] = True
     return drop_non_finite(summary)
+
+
+def _summarize_messages(record: ReconfigurationRecord) -> dict[str, Any]:
+    """Summarize what the agent received that received most, and the rounds of all auctions."""
+    messages, bytes = record.variables.received_messages, record.variables.received_bytes
+    rounds = record.frames.rounds
+    if messages is None or bytes is None or rounds is None:
+        return {}
+    most = int(bytes.sum(axis=1).argmax())
+    each = dict(zip(PURPOSES, bytes[most].tolist(), strict=True))
+    return {
+        "bytes_received_max": {"total": int(bytes[most].sum()), **each},
+        "messages_received_max": int(messages.sum(axis=1).max()),
+        "auction_rounds_max": int(rounds[:, PURPOSES.index("auction")].max()),
+    }
 
 
 def _summarize_radii(record: ReconfigurationRecord) -> dict[str, Any]:

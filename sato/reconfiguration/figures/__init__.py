@@ -8,6 +8,7 @@ from sato.reconfiguration.figures import (
     drifts,
     half_space,
     measures,
+    messages,
     snapshots,
     time_series,
 )
@@ -42,6 +43,8 @@ def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     drawn = FIGURES | (PAIR_FIGURES if half_space.has_encounter(record) else {})
     if record.variables.chief is not None:
         drawn = drawn | ORBIT_FIGURES
+    if record.variables.received_bytes is not None:
+        drawn = drawn | {"messages": messages.plot_messages}
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
     return {name: partial(draw, record) for name, draw in drawn.items()}
