@@ -5,6 +5,7 @@ import pytest
 from agents import fly_by_messages
 from test_agent import MISSIONS, OTHERS
 
+import sato
 from sato.network.encoding import HEADER
 from sato.network.load import PURPOSES, Load
 from sato.reconfiguration.encoding import measure, purpose_of
@@ -44,3 +45,17 @@ def test_batched_load_is_that_of_agents_that_send_messages(rng, draw):
             np.testing.assert_array_equal(own, expected, err_msg=f"{name} at {flown}")
         flown += 1
     assert flown > 9
+
+
+def test_summary_and_figure_show_what_the_run_file_holds():
+    run = sato.run("crossing", seed=0)
+    received, messages = run.data["received_bytes"].values, run.data["received_messages"].values
+    shown = run.summary["bytes_received_max"]
+    most = received[received.sum(axis=1).argmax()]
+    assert shown == {"total": most.sum(), **dict(zip(PURPOSES, most, strict=True))}
+    assert run.summary["messages_received_max"] == messages.sum(axis=1).max() > 0
+    assert (received > HEADER * messages).all() and run.check().kept
+    above, below = run.figures()["messages"].axes
+    assert above.get_ylim()[1] * 1e3 > received.sum(axis=1).max()
+    points = sum(len(line.get_xdata()) for line in below.lines)
+    assert points == np.count_nonzero(run.data["rounds"].values)

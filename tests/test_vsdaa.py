@@ -1,6 +1,7 @@
 """VSDAA: the kernel against the definition, laws, and the optimal assignment."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from messages import bid_by_messages
 
 from problems.assignment import solve_assignment
 from sato.auctions import vsdaa
+from sato.auctions.bidder import WinningBids
 from sato.auctions.vsdaa import (
     NO_WINNER,
     OutOfTargets,
@@ -72,6 +74,10 @@ def definition(case: VsdaaAuction, ids: bool, rounds: int = 0) -> list:
     return history + [history[-1]] * (rounds - len(history))
 
 
+def news(agents):
+    return {i: agent.bids for i, agent in agents.items()}
+
+
 @pytest.mark.parametrize("ids", [True, False])
 @settings(LAW, max_examples=150)
 @given(case=cases())
@@ -106,6 +112,14 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     ]
     assert all(auction.bidder_count[i] == last[i].bids.winner_count for i in last)
     assert auction.bid_count == sum(agent.bid_count for agent in last.values())
+    tables = [{i: WinningBids.empty(len(case.cost[0])) for i in last}, *(news(a) for a in agents)]
+    for i in last:
+        changes = [
+            int(((now[i].price != was[i].price) | (now[i].winner != was[i].winner)).sum())
+            for was, now in pairwise(tables)
+        ]
+        assert auction.entry_count[i] == sum(changes)
+        assert auction.message_count[i] == np.count_nonzero(changes)
     # Without a pause agents merge what arrives when they act alone.
     for i, me in last.items():
         assert auction.price[i].tobytes() == me.bids.price.tobytes()

@@ -8,7 +8,7 @@ diameter; the agents know it, and each other's reports, from the first stage on.
     terms      reports `AuctionTerms`           all have heard all                D
     auction    bids, reports `AuctionReport`    D rounds after the last stopped
     bending    path                             D + 1 rounds after the last moved
-    meeting    trajectory                       4; only where plans are kept, as bending
+    meeting    trajectory                       6; only where plans are kept, as bending
     exchange   trajectory, reports              D rounds after the last was final
     holding    committed trajectory, in orbit   all have heard their neighbors    1
     choice     offer                            D + 1 rounds after the last change
