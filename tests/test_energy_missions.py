@@ -18,7 +18,7 @@ from problems.conic import Infeasible, SolverResult, solve
 from problems.solvers import SolverAdapter, load_adapters, solve_clarabel, verified
 from problems.solvers.adapter import SDP
 from problems.solvers.verified import VerifiedSolver
-from sato.reconfiguration.assignment import compute_epsilon
+from sato.reconfiguration.bidding_rules import compute_epsilon
 from sato.reconfiguration.check.fuel import compute_step_energy
 from sato.reconfiguration.check.promises import check_fuel
 from sato.reconfiguration.check.recorded import ReconfigurationRecord

@@ -9,7 +9,7 @@ from reconfiguration_runs import make_mission
 import sato
 from problems.assignment import solve_assignment
 from sato import InputError, Join, Leg, Loss, Points, Ring
-from sato.reconfiguration.assignment import compute_epsilon
+from sato.reconfiguration.bidding_rules import compute_epsilon
 
 NEAR = np.array([[4.0, 0.0], [4.0, 3.0]])
 FAR, ABOVE = NEAR + np.array([40.0, 0.0]), NEAR + np.array([0.0, 6.0])

@@ -22,12 +22,8 @@ from problems.auction_cost import (
 )
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.assignment import (
-    assign_targets,
-    compute_bid_costs,
-    compute_epsilon,
-    share_claims,
-)
+from sato.reconfiguration.assignment import assign_targets, share_claims
+from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon
 from sato.reconfiguration.state import AgentMemory, DecisionContext
 from sato.reconfiguration.target_costs import CostTable
 

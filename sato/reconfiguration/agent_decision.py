@@ -50,6 +50,7 @@ from sato.reconfiguration.agent_stages import (
     Turns,
     extend,
 )
+from sato.reconfiguration.bidding_rules import apply_bidding_rules, compute_epsilon, firm_penalty
 from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
 from sato.reconfiguration.census import (
     Hello,
@@ -347,16 +348,16 @@ class Decision(NamedTuple):
         assert table is not None
         firm, ranges = None, [terms.cost_range for terms in flood.message]
         if self.attempt == "firm":
-            firm = assignment.firm_penalty(ranges)
+            firm = firm_penalty(ranges)
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
-        cost = assignment.apply_bidding_rules(table, memory, self.number, is_near, firm)
+        cost = apply_bidding_rules(table, memory, self.number, is_near, firm)
         m = max(terms.target_count for terms in flood.message)
         order = np.arange(len(cost))
         if self.blocked:
             left_out = np.isin(order, self.blocked)
             order, counts = order_targets(np.array(m), left_out)
             cost, m = cost[order], int(counts)
-        epsilon = assignment.compute_epsilon(mission, self.context.leg)
+        epsilon = compute_epsilon(mission, self.context.leg)
         VsdaaAuction(cost[None], ALONE, np.array([m]), epsilon)  # checks its data
         empty, rules = WinningBids.empty(len(cost)), (epsilon, mission.bidder_ids)
         bidder = VsdaaBidder(self.number, cost, *rules, 2 * self.diameter, m, empty)
