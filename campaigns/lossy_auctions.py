@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from scipy.spatial import cKDTree
 
 from sato.auctions import CbaaAuction, VsdaaAuction, run_cbaa, run_vsdaa
-from sato.network.channel import NEVER, Channel
+from sato.network.channel import Channel
 from sato.network.graph import CommunicationGraph
 from sato.network.link import Link
 from sato.network.synchronizer import Synchronizer
@@ -106,11 +106,12 @@ def _run_synchronized(
     result, diameter = run_vsdaa(_make_vsdaa(start, goal, graph)), int(graph.diameter[0])
     rounds = (3 * diameter + 1) + diameter + result.round_count + diameter
     limit, agents = TIME * (2 if link.late else 1) * rounds, len(start)
-    channel = Channel.draw(link, graph, limit, rng)
-    heard = np.full(agents, link.silent_rounds)
-    never, count = np.full(agents, NEVER), np.full(agents, rounds - 1)
-    through = Synchronizer(channel, never).advance(heard, count)
-    in_time = through <= (np.median(through) if is_cut else limit)
+    synchronizer = Synchronizer(Channel(link, graph, rng), np.full(agents, limit))
+    heard, count = np.full(agents, link.silent_rounds), np.full(agents, rounds - 1)
+    through = synchronizer.advance(heard, count)
+    in_time = through < limit
+    if is_cut:
+        in_time &= through <= np.median(through)
     more = {"rounds": rounds, "rounds_over_lossless": through.max() / rounds}
     return np.where(in_time, result.target_index, -1), more
 

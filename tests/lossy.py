@@ -7,17 +7,19 @@ import numpy as np
 from sato.network.channel import NEVER
 
 
-def relay(channel, entered, stops, begin, act):
+def relay(channel, rounds, entered, stops, begin, act):
     """Let agents send a packet in every round of the network; yield all agents after each round.
 
     Args:
         channel: Rounds in which packets arrive.
+        rounds: Number of rounds.
         entered: Round in which each agent begins.
         stops: Round in which each agent falls silent.
         begin: Function of an agent's number that returns the agent and its first packet.
         act: Function of an agent and its inbox that returns the agent and its next packet.
     """
-    rounds, agents = channel.arrival.shape[1], {}
+    channel.extend(rounds)
+    agents = {}
     inboxes = [{i: [] for i in range(len(entered))} for _ in range(rounds + 1)]
     for now in range(rounds):
         for i in np.flatnonzero((entered <= now) & (now < stops)).tolist():
