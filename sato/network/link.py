@@ -123,3 +123,9 @@ class Link(Definition):
                 later = np.append(down[1:], 0.0) + up * begins / most
                 up, down = up * (1 - begins) + down[0], later
         return rounds + self.late
+
+    @property
+    def discovery_rounds(self) -> int:
+        """Rounds in which an agent hears all others within hearing, whose clocks may be behind."""
+        behind = ceil(self.skew / self.round - 1e-9) if self.round else 0
+        return self.silent_rounds + behind

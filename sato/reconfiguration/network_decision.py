@@ -77,7 +77,7 @@ class Negotiations:
         synchronizer = Synchronizer(self.channel, ends)
         alive, none = self.graph.alive, np.zeros(len(ends), dtype=int)
         discovered = synchronizer.advance(self.enters, none + 1)
-        begun = np.maximum(discovered, self.enters + mission.link.silent_rounds)
+        begun = np.maximum(discovered, self.enters + mission.link.discovery_rounds)
         begun = np.where(alive & (begun < ends), begun, NEVER)
         counted = synchronizer.advance(begun, np.where(alive, census_rounds(self.graph) - 1, 0))
         through = []
