@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.linalg import norm
 
+from sato.network.channel import Channel
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.agent import Agent
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
@@ -95,3 +96,102 @@ def fly_by_messages(mission, seed=0):
             plans = [agent.memory.plans[i] for i, agent in agents.items()]
             if min(clocks) >= leg.steps and all(own.target_index is not None for own in plans):
                 break
+
+
+class NetworkFlight:
+    """Flight of agents alone over a network in which rounds take time; without noise.
+
+    States are those at the instants of each agent's own clock, as in the loop.
+    """
+
+    def __init__(self, mission, seed=0):
+        self.mission, self.instant = mission, 0
+        self.x, self.alive = mission.initial_states.copy(), mission.alive.copy()
+        self.link_rng = np.random.default_rng(seed).spawn(1)[0]
+        delay = self.link_rng.uniform(0.0, mission.link.skew, len(self.x))
+        self.enters = mission.link.count_rounds(delay)
+        self.rounds = int(mission.link.count_rounds(mission.lag_steps * mission.step))
+        stops = find_first_commitments(mission)
+        live = np.flatnonzero(self.alive).tolist()
+        self.agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
+
+    def fly(self):
+        """Yield states, controls, targets and kinds of events of the agents at each instant."""
+        for number, leg in enumerate(self.mission.legs):
+            if number:
+                more = {"recount": leg.recount, "choose": leg.choose}
+                for agent in self.agents.values():
+                    agent.set_targets(leg.shape, leg.steps, **more)
+            for k in range(0, MAX_LEG_FACTOR * leg.steps, self.mission.lag_steps):
+                yield from self.decide(number, leg, k)
+                if all(agent.is_leg_over for agent in self.agents.values()):
+                    break
+
+    def decide(self, number, leg, k):
+        """Fly until the next decision, while packets arrive as a channel has them."""
+        mission, d = self.mission, self.mission.axes
+        for joined, at_step in mission.joining(number):
+            if k - mission.lag_steps < at_step <= k:
+                self.alive[joined] = True
+                begin = (self.instant - k) * mission.step
+                self.agents |= {i: Agent(mission, i, 1, begin, leg) for i in joined}
+        silent = self.lose(leg, k)
+        graph = CommunicationGraph.from_positions(self.x[:, :d], mission.comm_radius, self.alive)
+        channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
+        last = self.rounds + int(self.enters.max())
+        channel.extend(last)
+        inboxes = [{i: [] for i in self.agents} for _ in range(last)]
+        states = np.full((mission.lag_steps, *self.x.shape), np.nan)
+        controls, targets = states[..., :d].copy(), np.full(states.shape[:2], -1)
+        events = [list[tuple[int, str]]() for _ in states]
+        is_over = False  # for all, who would go on repeating themselves
+        for now in range(last):
+            sent = {}
+            for i, agent in self.agents.items():
+                r = now - int(self.enters[i])
+                if not 0 <= r < silent.get(i, self.rounds):
+                    continue
+                time = self.instant * mission.step + r * mission.link.round
+                step = int(r * mission.link.round / mission.step + 1e-6)
+                is_new = np.isnan(states[step, i]).all()
+                if not is_new and is_over:
+                    continue
+                if step and is_new:
+                    self.x[i] = self.fly_on(i, controls[step - 1, i])
+                states[step, i] = self.x[i]
+                controls[step, i], sent[i] = agent.step(time, self.x[i], inboxes[now][i])
+                targets[step, i] = agent.target_index
+                if is_new and not step:
+                    events[0] += [(i, event["kind"]) for event in agent.events]
+            for edge in np.flatnonzero(np.isin(channel.sender, list(sent))):
+                at, j = channel.arrival[edge, now], int(channel.receiver[edge])
+                if at < last:
+                    inboxes[at][j].append(sent[int(channel.sender[edge])])
+            has_begun = now >= self.enters.max()
+            is_over = has_begun and all(agent.is_finished for agent in self.agents.values())
+        for i in self.agents:
+            self.x[i] = self.fly_on(i, controls[-1, i])
+        for i in silent:
+            del self.agents[i]
+            self.alive[i] = False
+        self.instant += mission.lag_steps
+        yield from zip(states, controls, targets, events, strict=True)
+
+    def lose(self, leg, k):
+        """Lose agents; return the rounds of this decision after which others fall silent."""
+        silent = {}
+        for loss in leg.losses:
+            after = loss.at_step - k
+            if 0 <= after < self.mission.lag_steps:
+                rounds = int(self.mission.link.count_rounds(after * self.mission.step))
+                silent |= dict.fromkeys(loss.agents, rounds)
+        for i in [i for i, rounds in silent.items() if not rounds]:
+            del silent[i], self.agents[i]
+            self.alive[i] = False
+        return silent
+
+    def fly_on(self, i, control):
+        """State of an agent after a step."""
+        mission, u = self.mission, np.zeros((len(self.x), self.mission.axes))
+        u[i] = np.nan_to_num(control)
+        return mission.flown_plant.propagate(self.x, u, 0.0, mission.step)[1][i]

@@ -35,6 +35,7 @@ TYPES = """
     sato.processes.messages:Reply
     sato.processes.messages:Status
     sato.reconfiguration.agent_inputs:AgentMessage
+    sato.reconfiguration.agent_inputs:AgentPacket
     sato.reconfiguration.agent_stages:AuctionReport
     sato.reconfiguration.agent_stages:AuctionTerms
     sato.reconfiguration.agent_stages:BiddingMessage

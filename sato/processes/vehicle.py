@@ -3,20 +3,16 @@
 import os
 import signal
 import time
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from sato.network.channel import NEVER
 from sato.network.flooding import Census
-from sato.network.synchronous_agent import SynchronousAgent
 from sato.processes.codec import decode, encode
 from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply, Status
 from sato.processes.network import WORLD, Connection
 from sato.reconfiguration.agent import Agent
-from sato.reconfiguration.agent_inputs import AgentMessage
 from sato.reconfiguration.agent_stages import Exchange
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.halfway_stages import Bending, Meeting
@@ -65,26 +61,6 @@ def _hear_mission(connection: Connection, number: int) -> Briefing:
                 return received[1]
 
 
-class Acting(NamedTuple):
-    """An agent that decides, as a stage of synchronous rounds."""
-
-    agent: Agent
-    call: Call  # with which the decision began
-    message: AgentMessage
-    is_finished: bool
-
-    @classmethod
-    def begin(cls, agent: Agent, call: Call) -> "Acting":
-        """Begin a decision."""
-        _, message = agent.step(call.time, call.state, (), call.seen)
-        return cls(agent, call, message, agent.is_finished)
-
-    def update(self, inbox: Sequence[AgentMessage]) -> "Acting":
-        """Act once, on the messages of all neighbors."""
-        _, message = self.agent.step(self.call.time, self.call.state, inbox)
-        return self._replace(message=message, is_finished=self.agent.is_finished)
-
-
 class Vehicle:
     """One vehicle: an agent, and what of its memory goes into the record."""
 
@@ -100,7 +76,6 @@ class Vehicle:
             own_leg = {"leg_start": briefing.leg_start, "leg": mission.legs[briefing.leg]}
             self.agent = Agent(mission, number, **own_leg)
         self._before, self._calls, self._solves = self.agent.memory, False, 0
-        self._rounds: SynchronousAgent
 
     def act(self, call: Call) -> Reply:
         """Act in one round of messages."""
@@ -113,19 +88,18 @@ class Vehicle:
         if call.begins:
             repeats = agent.memory.instant == round(call.time / self.mission.step)
             agent.memory = self._before = self._before if repeats else agent.memory
-            stage = Acting.begin(agent, call)
-            own = self.number, stage.message.instant, stage
-            self._rounds = SynchronousAgent(*own, self.mission.link.silent_rounds, NEVER)
+            _, message = agent.step(call.time, call.state, (), call.seen)
             self._calls, self._solves = _has_called(agent), 0
         else:
-            self._rounds = self._rounds.update([decode(packet) for packet in call.inbox])
+            inbox = [decode(packet) for packet in call.inbox]
+            _, message = agent.step(call.time, call.state, inbox)
         self._solves = max(self._solves, _count_solves(agent))
         status = self._report() if agent.is_finished else None
-        return Reply(call.serial, encode(self._rounds.packet), status)
+        return Reply(call.serial, encode(message), status)
 
     def _report(self) -> Status:
         flown, i = self.agent.memory, self.number
-        decision, plan = flown.decision, flown.plans.get(self.number)
+        decision, plan = flown.last_decision, flown.plans.get(self.number)
         assert decision is not None and flown.control is not None
         return Status(
             control=flown.control,
@@ -144,7 +118,7 @@ class Vehicle:
 
 def _has_called(agent: Agent) -> bool:
     """Tell whether an agent calls for an auction, as its first message says."""
-    decision = agent.memory.decision
+    decision = agent.memory.last_decision
     assert decision is not None and isinstance(decision.stage, Census)
     (hello,) = decision.stage.message.reports
     return bool(hello.joins)
@@ -152,5 +126,6 @@ def _has_called(agent: Agent) -> bool:
 
 def _count_solves(agent: Agent) -> int:
     """Count the programs that an agent has solved to plan among others, while it does so."""
-    stage = agent.memory.decision and agent.memory.decision.stage
+    decision = agent.memory.last_decision
+    stage = decision and decision.stage
     return stage.planner.solve_count if isinstance(stage, Bending | Meeting | Exchange) else 0

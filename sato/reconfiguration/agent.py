@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
@@ -16,6 +16,7 @@ from sato.reconfiguration import estimator
 from sato.reconfiguration.agent_decision import Decision
 from sato.reconfiguration.agent_inputs import (
     AgentMessage,
+    AgentPacket,
     as_instant,
     as_state,
     check_agent,
@@ -23,40 +24,18 @@ from sato.reconfiguration.agent_inputs import (
     checksum,
     select_messages,
 )
+from sato.reconfiguration.agent_memory import FlightMemory
+from sato.reconfiguration.agent_network import Negotiation, foresee, stop_at_once
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.plan import Plans, compute_spent
+from sato.reconfiguration.plan import compute_spent, give_up_missed
 from sato.reconfiguration.planning import give_up_closed
-from sato.reconfiguration.state import (
-    AgentMemory,
-    DecisionContext,
-    Event,
-    begin_memory,
-    update_believed,
-)
-from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
+from sato.reconfiguration.state import DecisionContext, Event, begin_memory, update_believed
+from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
-
-
-class FlightMemory(NamedTuple):
-    """All that an agent remembers between two calls, besides its mission and its number."""
-
-    leg: Leg  # under way
-    believed: Int[Array, " rows"]  # number of agents it believes in
-    memory: AgentMemory  # the row of its number counts
-    plans: Plans  # empty, or its own
-    committed: Commitments  # empty, or its own
-    estimate: estimator.Estimate  # of its state
-    leg_start: int | None = None  # instant at which the leg began; None before
-    instant: int | None = None  # last control instant; None before the first
-    spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
-    control: Float[Array, " d"] | None = None  # held now [m/s²]
-    decision: Decision | None = None
-    seen_count: int = 0  # things that it has seen
-    heard: frozenset[int] | None = None  # agents in the last round of an instant; None in the first
 
 
 class Agent:
@@ -73,6 +52,11 @@ class Agent:
     and hear each other. The number of rounds follows from the messages: agents measure the
     diameter of their network first. An agent that is lost is called no more. One that joins calls
     for an auction by itself.
+
+    Where the mission's `link` loses or delays messages, an agent is called once in each round of
+    the network, with all packets that have arrived since. Where rounds take time, that is at each
+    multiple of `link.round`, from each instant on; agents fly on meanwhile, and `is_leg_over` tells
+    when all know that all have arrived.
 
     Agents fly the same missions as `sato.run`, control for control, with `plan.orders = 1`.
 
@@ -127,23 +111,24 @@ class Agent:
         self,
         time: float,
         state: ArrayLike,
-        inbox: Sequence[AgentMessage],
+        inbox: Sequence[AgentMessage] | Sequence[AgentPacket],
         seen: Sequence[Sensed] = (),
-    ) -> tuple[Float[Array, " d"], AgentMessage]:
+    ) -> tuple[Float[Array, " d"], AgentMessage | AgentPacket | None]:
         """Act in one round of messages.
 
         Args:
-            time: Time since the start of the mission [s].
+            time: Time since the start of the mission [s], by the agent's own clock.
             state: Position [m] and velocity [m/s] that the agent measures, as an array (2 d,);
                 those of the first call at a control instant count.
             inbox: Messages that the neighbors returned in the last round; those of earlier
-                stages are ignored.
+                stages are ignored. Where messages are lost or late, all that have arrived.
             seen: All that the agent has seen so far and its mission does not list as known, as it
                 is now: obstacles, and the number and the state of each lost vehicle; those of the
                 first call at a control instant count.
 
         Returns:
-            The acceleration to hold until the next instant [m/s²], and a message to all neighbors.
+            The acceleration to hold until the next instant [m/s²], and a message to all neighbors;
+            None from an agent that joins between two decisions.
 
         Raises:
             ValueError: An instant was skipped, or begins before the decision of the last one is
@@ -152,11 +137,14 @@ class Agent:
             OutOfTargets: The network has more agents than there are targets.
         """
         instant = as_instant(self.mission, "time", time)
-        check_inbox(self.number, inbox)
+        received = check_inbox(self.number, inbox, self.mission.link.is_ideal)
+        before = self.memory.negotiation
         if instant != self.memory.instant:
             self.memory = self._begin_instant(instant, as_state(self.mission, state), seen)
-        else:
-            self.memory = self._hear(inbox)
+        elif self.mission.link.is_ideal:
+            self.memory = self._hear(received)
+        if before is not None and self.memory.negotiation is before:
+            self.memory = self._negotiate(before, received)
         assert self.memory.control is not None
         return self.memory.control, self._message
 
@@ -171,7 +159,8 @@ class Agent:
     ) -> None:
         """Begin another leg at the next control instant.
 
-        All agents that hear each other must be told, between the same two instants.
+        All agents that hear each other must be told, between the same two instants. Where messages
+        take time, the leg begins with the next decision.
 
         Args:
             targets: Array of (M, d) positions or (M, 2 d) states, or a shape.
@@ -183,17 +172,22 @@ class Agent:
         Raises:
             ValueError: The targets are too few or too close, or a decision is not finished.
         """
-        self._require_finished()
-        flown = self.memory
+        flown, later = self.memory, bool(self.mission.lag_steps)
+        if not later:
+            self._require_finished()
         leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
+        begun = self._begin_leg(leg, 0 if flown.instant is None else flown.instant + 1)
+        is_under_way = later and flown.instant is not None
+        self.memory = flown._replace(next_leg=leg) if is_under_way else begun
+
+    def _begin_leg(self, leg: Leg, begins: int) -> FlightMemory:
+        flown = self.memory
         ended = flown.believed, flown.memory, flown.leg
         believed = update_believed(self.mission, *ended, leg.recount)
-        begins = 0 if flown.instant is None else flown.instant + 1
         leg = self._own_leg(draw_leg(self.mission, leg, int(believed[self.number]), begins))
-        memory = begin_memory(self.mission, leg, believed)
-        self.memory = flown._replace(
-            leg=leg, believed=believed, memory=memory, plans={}, leg_start=None
-        )
+        memory, none = begin_memory(self.mission, leg, believed), None
+        begun = flown._replace(leg=leg, believed=believed, memory=memory, plans={}, next_leg=none)
+        return begun._replace(leg_start=None)
 
     def _own_leg(self, leg: Leg) -> Leg:
         """Return a leg in which the target that is given to the agent has its number."""
@@ -209,9 +203,20 @@ class Agent:
 
     @property
     def is_finished(self) -> bool:
-        """True once the decision of the last instant is made."""
-        decision = self.memory.decision
+        """True once the decision of the last instant is made, as far as the agent has a part."""
+        negotiation, decision = self.memory.negotiation, self.memory.decision
+        if negotiation is not None:
+            return negotiation.is_finished
         return decision is not None and decision.is_finished
+
+    @property
+    def is_leg_over(self) -> bool:
+        """True once the agent knows that all of its network have arrived, or begin another leg.
+
+        It says so with the last decision of a leg, and no more once it has new targets.
+        """
+        decision = self.memory.last_decision
+        return decision is not None and self.memory.next_leg is None and decision.is_leg_over
 
     @property
     def target_index(self) -> int:
@@ -221,43 +226,88 @@ class Agent:
     @property
     def has_arrived(self) -> bool:
         """True from the deadline of the agent's plan on, if that leads to its target."""
-        plan, clock = self.memory.plans.get(self.number), self.memory.memory.clock[self.number]
+        return self._has_arrived(self.memory)
+
+    def _has_arrived(self, flown: FlightMemory) -> bool:
+        plan, clock = flown.plans.get(self.number), flown.memory.clock[self.number]
         is_planned = plan is not None and plan.target_index is not None
-        return bool(clock == self.memory.leg.steps and is_planned)
+        return bool(clock == flown.leg.steps and is_planned)
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Constraints relaxed, and clocks reset, in the last decision."""
-        return self.memory.decision.events if self.memory.decision else ()
+        """Constraints relaxed, and clocks reset, in the last decision that it took up."""
+        return self.memory.events
 
     def _begin_instant(self, instant: int, state: Array, seen: Sequence[Sensed]) -> FlightMemory:
-        flown, mission, leg = self.memory, self.mission, self.memory.leg
-        joins = flown.instant is None and flown.leg_start not in (None, instant)
-        if flown.instant is not None:
-            flown = self._end_step(instant)
+        mission, flown = self.mission, self.memory
+        is_first, starts = flown.instant is None, (None, instant)
+        joins = is_first and flown.leg_start not in starts
+        if not is_first:
+            self.memory = self._end_step(instant)
+            flown = self._end_negotiation(instant) if mission.lag_steps else self.memory
         else:
             alone = np.array([self.number])
             check_stops(mission, alone, state[None], "state", flown.committed, instant)
         measured = np.tile(state, (self.number + 1, 1))
         estimate = estimator.update(mission, flown.estimate, measured)
         begun = instant if flown.leg_start is None else flown.leg_start
-        flown = flown._replace(estimate=estimate, leg_start=begun)
-        if flown.instant is None:  # the deadline of the leg is that of all
-            clock = np.full_like(flown.memory.clock, min(instant - begun, leg.steps))
+        flown = flown._replace(estimate=estimate, leg_start=begun, instant=instant, heard=None)
+        if is_first:  # the deadline of the leg is that of all
+            clock = np.full_like(flown.memory.clock, min(instant - begun, flown.leg.steps))
             flown = flown._replace(memory=replace(flown.memory, clock=clock))
         when, solvers = (instant - begun, instant * mission.step), [self.solver] * len(measured)
         known = self._graph, estimate.reference, flown.memory
         around = sense_surroundings(mission, when[1], len(measured), seen)
-        context = DecisionContext(mission, leg, *known, *when, solvers, around)
+        context = DecisionContext(mission, flown.leg, *known, *when, solvers, around)
         sees_new = [self.number] if len(seen) > flown.seen_count else []
-        closed = give_up_closed(context, flown.plans, sees_new)
-        joins |= closed.get(self.number) is not flown.plans.get(self.number)
-        flown = flown._replace(plans=closed, seen_count=len(seen))
-        shared = begun, checksum(mission, leg)
-        own = flown.plans, flown.committed, flown.spent
-        decision = Decision.begin(self.number, context, *own, shared, joins)
-        flown = flown._replace(instant=instant, decision=decision, heard=None)
+        plans = give_up_missed(context, flown.plans)
+        closed = give_up_closed(context, plans, sees_new)
+        joins |= flown.is_calling or closed.get(self.number) is not plans.get(self.number)
+        flown = flown._replace(plans=closed, seen_count=len(seen), is_calling=joins)
+        if not mission.lag_steps or when[0] % mission.replan_steps == 0:
+            flown = self._begin_decision(flown, context)
         return flown._replace(control=self._control(flown))
+
+    def _begin_decision(self, flown: FlightMemory, context: DecisionContext) -> FlightMemory:
+        mission, i, instant = self.mission, self.number, context.instant
+        if mission.lag_steps:
+            if not flown.committed:
+                stop = stop_at_once(mission, i, context.state[i], instant)
+                flown = flown._replace(committed={i: stop})
+            context = foresee(context, i, flown.committed, self._has_begun(flown))
+        assert flown.leg_start is not None
+        own = flown.plans, flown.committed, flown.spent
+        shared = flown.leg_start, checksum(mission, flown.leg)
+        calls = flown.is_calling, self._has_arrived(flown)
+        decision = Decision.begin(i, context, *own, shared, *calls)
+        flown = flown._replace(is_calling=False)
+        if mission.link.is_ideal:
+            return flown._replace(decision=decision)
+        negotiation = Negotiation.begin(mission, instant, decision)
+        return flown._replace(negotiation=negotiation)
+
+    def _has_begun(self, flown: FlightMemory) -> bool:
+        """Tell whether the clock runs: from the first plan of a leg on, if rounds take time."""
+        clock = flown.memory.clock[self.number]
+        return bool(not self.mission.lag_steps or flown.plans or clock > 0)
+
+    def _end_negotiation(self, instant: int) -> FlightMemory:
+        """Take up what is decided, if the next decision begins now; or begin the next leg."""
+        flown, negotiation = self.memory, self.memory.negotiation
+        is_between = flown.leg_start is None or (instant - flown.leg_start) % self.mission.lag_steps
+        if is_between or negotiation is None:
+            return flown
+        events: tuple[Event, ...] = ()
+        if not negotiation.is_finished:
+            events = ({"kind": "unconfirmed", "agents": [self.number]},)
+        flown = flown._replace(negotiation=None, events=events)
+        if negotiation.commits:
+            flown = flown.take_up(negotiation.decision)
+        if flown.next_leg is None:
+            return flown
+        self.memory = flown
+        later = negotiation.decision.later_leg
+        return self._begin_leg(flown.next_leg, instant)._replace(leg_start=later)
 
     def _end_step(self, instant: int) -> FlightMemory:
         """Count the cost and the time of the step that was flown."""
@@ -268,10 +318,11 @@ class Agent:
                 f"agent {self.number} is called at instant {instant} after instant "
                 f"{flown.instant}: call it at every multiple of plan.step_s = {mission.step:g}"
             )
-        self._require_finished()
+        if not mission.lag_steps:
+            self._require_finished()
         spent = compute_spent(mission, flown.control[None])
         memory, steps = flown.memory, flown.leg.steps
-        if flown.leg_start is not None:
+        if flown.leg_start is not None and self._has_begun(flown):
             memory = replace(memory, clock=np.minimum(memory.clock + 1, steps))
         held, time = np.tile(flown.control, (self.number + 1, 1)), flown.instant * mission.step
         planned = self._planned_controls(flown)
@@ -291,21 +342,36 @@ class Agent:
         assert own is not None
         if own.is_finished:
             return flown
-        messages = select_messages(self.number, self._message, inbox, flown.heard)
+        now = self._message
+        assert isinstance(now, AgentMessage)
+        messages = select_messages(self.number, now, inbox, flown.heard)
         decision = own.update([message.content for message in messages])
         heard = frozenset(message.sender for message in messages)
         flown = flown._replace(decision=decision, heard=heard)
         if decision.is_finished:
-            flown = flown._replace(memory=decision.context.memory, plans=decision.plans)
-            flown = flown._replace(committed=decision.committed)
+            flown = flown.take_up(decision)
             flown = flown._replace(control=self._control(flown))
         return flown
 
+    def _negotiate(self, before: Negotiation, inbox: Sequence[AgentPacket]) -> FlightMemory:
+        """Act on the packets that have arrived; commit at once where messages take no time."""
+        after = before.update(inbox)
+        flown = self.memory._replace(negotiation=after)
+        if self.mission.lag_steps or before.is_finished or not after.is_finished:
+            return flown
+        flown = flown.take_up(after.decision)
+        return flown._replace(control=self._control(flown))
+
     @property
-    def _message(self) -> AgentMessage:
-        decision, instant = self.memory.decision, self.memory.instant
-        assert decision is not None and instant is not None
-        return AgentMessage(self.number, instant, decision.stage_index, decision.stage.message)
+    def _message(self) -> AgentMessage | AgentPacket | None:
+        flown = self.memory
+        if flown.negotiation is not None:
+            return flown.negotiation.message
+        if flown.decision is None:
+            return None
+        assert flown.instant is not None
+        stage = flown.decision.stage_index, flown.decision.message
+        return AgentMessage(self.number, flown.instant, *stage)
 
     def _control(self, flown: FlightMemory) -> Float[Array, " d"]:
         planned, known = self._planned_controls(flown), flown.estimate

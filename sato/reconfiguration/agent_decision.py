@@ -49,6 +49,7 @@ from sato.reconfiguration.agent_stages import (
     Holding,
     Turns,
     extend,
+    keeps_clear,
 )
 from sato.reconfiguration.bidding_rules import apply_bidding_rules, compute_epsilon, firm_penalty
 from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
@@ -57,6 +58,7 @@ from sato.reconfiguration.census import (
     check_census,
     checksum_members,
     has_changed_network,
+    has_later_leg,
 )
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
@@ -66,7 +68,6 @@ from sato.reconfiguration.plan import (
     Plan,
     Plans,
     bids_on_change,
-    give_up_missed,
     is_auction_due,
     is_planning_due,
     remaining_cost,
@@ -102,6 +103,8 @@ class Decision(NamedTuple):
     choosing: Choosing | None = None  # once it has chosen
     is_evading: bool = False  # something comes over what an agent of its component has chosen
     turns: Turns | None = None  # once all have had theirs, if they evade then
+    # Neighbors that have to commit before it can, where it may meet what they committed to before.
+    waits: frozenset[int] = frozenset()
     events: tuple[Event, ...] = ()
 
     @classmethod
@@ -114,6 +117,7 @@ class Decision(NamedTuple):
         spent: float,
         leg: tuple[int, int],
         joins: bool,
+        has_arrived: bool = False,
     ) -> "Decision":
         """Begin with the census.
 
@@ -125,18 +129,48 @@ class Decision(NamedTuple):
             spent: Fuel or energy spent so far.
             leg: Instant at which the leg began, and a checksum of its targets.
             joins: True where the agent calls for an auction at once.
+            has_arrived: True where it has arrived at its target.
         """
         memory = context.memory
-        plans = give_up_missed(context, plans)
         due, auction_due = is_planning_due(context, plans), is_auction_due(context, plans)
         step, clock = int(memory.claim_step[number, number]), int(memory.clock[number])
         is_due = bool(due[number]), bool(auction_due[number])
-        hello = Hello(number, leg, *is_due, joins, clock)
+        hello = Hello(number, leg, *is_due, joins, clock, has_arrived=has_arrived)
         if step >= 0:
             others = np.flatnonzero(memory.claim_step[number] == step).tolist()
             hello = hello._replace(claim_step=step, together=checksum_members(others))
         stage = Census(CensusMessage(frozenset([hello])))
         return cls(number, context, plans, committed, np.full(len(due), spent), stage)
+
+    @property
+    def message(self) -> Any:
+        """Message to the neighbors."""
+        return self.stage.message
+
+    @property
+    def has_decided(self) -> bool:
+        """True once the agent has chosen what it commits to; never where nothing is due."""
+        return self.is_finished and not isinstance(self.stage, Census)
+
+    @property
+    def hellos(self) -> Reports:
+        """Reports with which the instant began, where nothing is due."""
+        is_over = self.is_finished and isinstance(self.stage, Census)
+        return self.stage.message.reports if is_over else frozenset()
+
+    @property
+    def later_leg(self) -> int | None:
+        """Instant at which others began a later leg than the agent's; None where none did."""
+        began = {hello.agent: hello.leg[0] for hello in self.hellos}
+        latest = max(began.values(), default=-1)
+        return latest if began and latest > began[self.number] else None
+
+    @property
+    def is_leg_over(self) -> bool:
+        """True once all agents of the component know that all have arrived."""
+        hellos = self.hellos
+        have_arrived = bool(hellos) and all(hello.has_arrived for hello in hellos)
+        return self.later_leg is not None or (have_arrived and not has_later_leg(hellos))
 
     def update(self, inbox: Sequence[Any]) -> "Decision":
         """Act once, on the messages that neighbors sent in this stage."""
@@ -188,7 +222,8 @@ class Decision(NamedTuple):
 
     def _begin_choice(self, offers: Offers) -> "Decision":
         priority, choice = self.plans[self.number].priority, int(offers.is_allowed[0].argmax())
-        return self._enter(Choosing(offers, priority, self.diameter, choice))
+        is_confirmed = self.context.mission.lag_steps > 0
+        return self._enter(Choosing(offers, priority, self.diameter, choice, is_confirmed))
 
     def _report_choice(self, choosing: Choosing) -> "Decision":
         is_cautious = choosing.choice == choosing.offers.last and not is_kept(
@@ -212,7 +247,8 @@ class Decision(NamedTuple):
         order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
         clearance = float(offers.clearance[0])
         flown = offers.plan_steps[choice]
-        turns = Turns(self.context, own[1], own[0], order, horizon, u, path, clearance, flown)
+        rest = clearance, flown, self.choosing.kept_below
+        turns = Turns(self.context, own[1], own[0], order, horizon, u, path, *rest)
         return self._enter(turns, is_evading=any(report.is_met for report in reports))
 
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
@@ -236,7 +272,9 @@ class Decision(NamedTuple):
     def _after_evasion(self, turns: Turns, reports: Reports) -> "Decision":
         mission, horizon = self.context.mission, turns.horizon
         changed = evasion.find_evasions(mission, horizon, list(reports)).get(self.number)
-        return self._commit(turns, None if changed is None else changed.u)
+        if changed is None:
+            return self._commit(turns)
+        return self._commit(turns._replace(path=changed.path), changed.u)
 
     def _commit(self, turns: Turns, evading: Float[Array, "T m"] | None = None) -> "Decision":
         u, is_cautious = turns.u, self.number in turns.order and turns.plan_steps == 0
@@ -247,7 +285,22 @@ class Decision(NamedTuple):
         if is_cautious and commitment.leaves_plan(turns.plan, plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
         plans = {self.number: plan}
-        return self._replace(plans=plans, committed=committed, events=events, is_finished=True)
+        return self._replace(
+            plans=plans,
+            committed=committed,
+            events=events,
+            waits=self._find_waits(turns),
+            is_finished=True,
+        )
+
+    def _find_waits(self, turns: Turns) -> frozenset[int]:
+        """Find the neighbors that could meet the agent if they did not commit to what is new."""
+        assert self.choosing is not None
+        if not self.choosing.is_confirmed:
+            return frozenset()
+        path, kept = turns.path, turns.clearance
+        near = self.choosing.neighbors
+        return frozenset(other.agent for other in near if not keeps_clear(path, kept, other.kept))
 
     def _enter(self, stage: Any, **changes: Any) -> "Decision":
         return self._replace(stage=stage, stage_index=self.stage_index + 1, **changes)
@@ -255,6 +308,8 @@ class Decision(NamedTuple):
     def _after_census(self, census: Census) -> "Decision":
         mission, k = self.context.mission, self.context.step_index
         reports = sorted(census.message.reports)
+        if mission.lag_steps and has_later_leg(reports):
+            return self._replace(is_finished=True)
         check_census(reports)
         has_joined, is_new = any(hello.joins for hello in reports), False
         if k % mission.replan_steps == 0:

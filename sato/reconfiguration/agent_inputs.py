@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from sato.network.synchronous_agent import Packet
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitment
@@ -28,6 +29,18 @@ class AgentMessage(NamedTuple):
     instant: int
     stage: int
     content: Any
+
+
+class AgentPacket(NamedTuple):
+    """All that an agent sends in a round of a network that loses or delays messages."""
+
+    packet: Packet
+    commits: bool  # to what it has chosen
+
+    @property
+    def sender(self) -> int:
+        """Number of the agent."""
+        return self.packet.sender
 
 
 def check_agent(
@@ -111,16 +124,22 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     return array
 
 
-def check_inbox(number: int, inbox: Any) -> None:
-    """Refuse an inbox that has anything but messages of other agents.
+def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
+    """Return an inbox, which has nothing but messages of other agents.
+
+    Args:
+        number: Number of the agent.
+        inbox: All that it heard.
+        is_ideal: True where no message is lost or late; else they come in packets.
 
     Raises:
-        ValueError: It has.
+        ValueError: It has something else.
     """
-    if isinstance(inbox, AgentMessage) or not isinstance(inbox, Sequence):
+    kind = AgentMessage if is_ideal else AgentPacket
+    if isinstance(inbox, AgentMessage | AgentPacket) or not isinstance(inbox, Sequence):
         raise ValueError(f"inbox must be a list of messages, got {type(inbox).__name__}")
     for message in inbox:
-        if not isinstance(message, AgentMessage):
+        if not isinstance(message, kind):
             raise ValueError(
                 f"agent {number}: inbox must hold messages that other agents returned, got a "
                 f"{type(message).__name__}; leave out those of agents that have sent none"
@@ -130,6 +149,7 @@ def check_inbox(number: int, inbox: Any) -> None:
             f"agent {number} hears an agent of its own number: give each its own, and leave out "
             "its own message"
         )
+    return inbox
 
 
 def select_messages(

@@ -182,6 +182,19 @@ class OfferMessage(NamedTuple):
     clearance: float  # that two of the sender's kind would keep [m]
     last_change: int  # last round in which an agent is known to have changed its choice
     step_count: int  # of the controls that are not those of the plan
+    # What the sender had committed to, where it may go on flying that.
+    held: Float[Array, "pieces 4 d"] | None = None
+
+    @property
+    def agent(self) -> int:
+        """Number of the sender."""
+        return self.priority[2]
+
+    @property
+    def kept(self) -> CommittedMessage:
+        """What the sender may go on flying."""
+        path = self.path if self.held is None else self.held
+        return CommittedMessage(path, self.clearance, self.step_count)
 
 
 class Choosing(NamedTuple):
@@ -191,15 +204,25 @@ class Choosing(NamedTuple):
     priority: Priority
     diameter: int
     choice: int
+    is_confirmed: bool = False  # True where agents commit once all that they could meet have
     round: int = 0
     last_change: int = 0
+    neighbors: tuple[OfferMessage, ...] = ()  # their last messages
 
     @property
     def message(self) -> OfferMessage:
         """Message to the neighbors."""
         path, clearance = self.offers.paths[0, self.choice], float(self.offers.clearance[0])
         (steps,) = self.offers.count_own_steps(np.zeros(1, int), np.array([self.choice])).tolist()
-        return OfferMessage(self.priority, path, self.choice, clearance, self.last_change, steps)
+        held = self.offers.paths[0, self.offers.last] if self.is_confirmed else None
+        own = self.priority, path, self.choice, clearance, self.last_change, steps
+        return OfferMessage(*own, held)
+
+    @property
+    def kept_below(self) -> tuple[CommittedMessage, ...]:
+        """What neighbors of lower priority may go on flying."""
+        below = (other for other in self.neighbors if other.priority > self.priority)
+        return tuple(other.kept for other in below) if self.is_confirmed else ()
 
     @property
     def is_finished(self) -> bool:
@@ -210,8 +233,9 @@ class Choosing(NamedTuple):
         """Take the next offer where the agent meets another, and is the one that has to."""
         own, round = self.message, self.round + 1
         last_change = max([self.last_change, *(message.last_change for message in inbox)])
-        others = [other for other in inbox if _goes_first(other, own)]
-        after = self._replace(round=round, last_change=last_change)
+        after = self._replace(round=round, last_change=last_change, neighbors=tuple(inbox))
+        ahead = (other for other in inbox if _goes_first(other, own))
+        others: list[CommittedMessage | OfferMessage] = [*ahead, *after.kept_below]
         if own.choice == self.offers.last or all(
             keeps_clear(own.path, own.clearance, other) for other in others
         ):
@@ -261,6 +285,7 @@ class Turns(NamedTuple):
     path: Float[Array, "pieces 4 d"]
     clearance: float
     plan_steps: int  # for which that follows the plan
+    kept_below: tuple[CommittedMessage, ...] = ()  # by neighbors of lower priority
     round: int = 0
 
     @property
@@ -278,8 +303,10 @@ class Turns(NamedTuple):
         after = self._replace(round=self.round + 1)
         if self.order[self.round] != self.agent:
             return after
-        others = np.array([other.path for other in inbox]).reshape(-1, *self.path.shape)
-        clearance = (np.array([other.clearance for other in inbox]) + self.clearance) / 2
+        beside = [*inbox, *self.kept_below]
+        paths = np.array([extend(other.path, len(self.path)) for other in beside])
+        others = paths.reshape(-1, *self.path.shape)
+        clearance = (np.array([other.clearance for other in beside]) + self.clearance) / 2
         found = improve(
             self.context, self.agent, self.plan, self.horizon, self.path, others, clearance
         )

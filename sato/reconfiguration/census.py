@@ -1,5 +1,6 @@
 """Reports with which the agents of a component begin an instant."""
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import NamedTuple
 from zlib import crc32
@@ -23,6 +24,7 @@ class Hello(NamedTuple):
     clock: int
     claim_step: int = -1  # of its latest claim; −1 never
     together: int = 0  # checksum of those with which it decided then
+    has_arrived: bool = False
 
 
 def check_census(reports: list[Hello]) -> None:
@@ -38,6 +40,11 @@ def check_census(reports: list[Hello]) -> None:
                 "leg of the same mission: give all agents the same targets and steps, between the "
                 "same two instants, and missions with the same plan, limits and radii"
             )
+
+
+def has_later_leg(reports: Iterable[Hello]) -> bool:
+    """Tell whether some fly a later leg than others, which do not know that the last is over."""
+    return len({hello.leg[0] for hello in reports}) > 1
 
 
 def has_changed_network(reports: list[Hello]) -> bool:
