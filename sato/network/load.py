@@ -7,6 +7,7 @@ them has something to pass on.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple, no_type_check
 
 import numpy as np
@@ -124,8 +125,12 @@ def fingerprint(table: Int[Array, "rows columns"] | Bool[Array, "rows columns"])
     if table.dtype == bool:
         bits = np.packbits(table, axis=1)
         table = np.pad(bits, ((0, 0), (0, -bits.shape[1] % 8))).view(np.int64)
-    rng = np.random.default_rng(table.shape[1])
-    return np.asarray(table @ rng.integers(-(2**63), 2**63 - 1, table.shape[1]))
+    return np.asarray(table @ _draw_weights(table.shape[1]))
+
+
+@lru_cache(maxsize=8)
+def _draw_weights(count: int) -> Int[Array, " count"]:
+    return np.random.default_rng(count).integers(-(2**63), 2**63 - 1, count)
 
 
 @njit(cache=True)

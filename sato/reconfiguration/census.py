@@ -70,8 +70,9 @@ def count_census(context: DecisionContext) -> Load:
     messages, payload = load.count_census(graph)
     step, component = memory.claim_step.diagonal(), graph.component[live]
     together = fingerprint((memory.claim_step == step[:, None]) & (step[:, None] >= 0))
-    kinds = np.stack([component, memory.clock[live], step[live], together[live]])
+    parts = component, memory.clock[live], step[live], together[live]
+    _, first = np.unique(fingerprint(np.stack(parts, axis=1)), return_index=True)
     size = HELLO * np.bincount(component, minlength=1)
-    size += COMMON_HELLO * np.bincount(np.unique(kinds, axis=1)[0], minlength=len(size))
+    size += COMMON_HELLO * np.bincount(component[first], minlength=len(size))
     payload = payload + np.where(graph.alive, size[graph.component], 0)
     return Load.of(graph, live, 3 * graph.diameter + 1, (messages, payload))
