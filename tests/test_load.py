@@ -14,10 +14,12 @@ from sato.reconfiguration.loop import _Flight
 
 def fly_counted(mission, seed):
     """Yield the load of each agent at each instant, as the loop counts it."""
-    flight = _Flight(mission, np.random.default_rng(seed))
+    flight, counted = _Flight(mission, np.random.default_rng(seed)), []
+    record = flight.make_frame
+    flight.make_frame = lambda *flown: (counted.append(flight.loads), record(*flown))
     for number in range(len(mission.legs)):
         for _ in flight.fly_leg(number):
-            yield Load(*(np.stack(part, axis=1) for part in zip(*flight.loads, strict=True)))
+            yield Load(*(np.stack(part, axis=1) for part in zip(*counted.pop(), strict=True)))
 
 
 def count_messages(rounds, graph):
