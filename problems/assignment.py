@@ -1,4 +1,4 @@
-"""Optimal assignment from all costs, for comparison with auctions."""
+"""Optimal assignment from all costs, and its prices, to compare with auctions or forecast one."""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -9,8 +9,7 @@ from scipy.optimize import linear_sum_assignment
 def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
-    This needs all costs at once, which no agent of a swarm knows; no distributed decision uses
-    it.
+    This needs all costs at once. No agent of a swarm knows those of the others for certain.
 
     Args:
         cost: Cost of each target for each agent; at least as many targets as agents.
@@ -36,3 +35,27 @@ def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agent
             "give an unreachable target a large finite cost"
         )
     return np.asarray(linear_sum_assignment(cost)[1], dtype=np.int64)
+
+
+def least_prices(
+    cost: Float[Array, "agents targets"], target_index: Int[Array, " agents"]
+) -> Float[Array, " targets"]:
+    """Compute the least prices at which no agent would rather have another target.
+
+    They are the least p ≥ 0 with p_j ≥ p_σ(i) + c_iσ(i) − c_ij for all i and j: lengths of longest
+    paths, found in at most N sweeps. A target that is left over costs nothing.
+
+    Args:
+        cost: Cost of each target for each agent.
+        target_index: Assignment σ of least total cost.
+    """
+    rows, price = np.arange(len(cost)), np.zeros(cost.shape[1])
+    own = cost[rows, target_index]
+    for _ in range(len(cost)):
+        total = price[target_index[rows]] + own[rows]
+        least = np.max(total[:, None] - cost[rows], axis=0, initial=0.0)
+        is_raised, price = least > price, np.maximum(price, least)
+        rows = np.flatnonzero(is_raised[target_index])  # agents whose own target became dearer
+        if not len(rows):
+            break
+    return price

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.auctions.bidder import VsdaaBidder, WinningBids
+from sato.auctions.vsdaa import Opening
 from sato.network.flooding import Census, CensusMessage
 from sato.network.rounds import run_round
 from sato.scp.planner import update_planner
@@ -70,10 +71,14 @@ def bid_by_messages(auction):
     live = np.flatnonzero(graph.alive).tolist()
     agreed = flood(graph, {i: int(auction.target_count[i]) for i in live}, max)
     empty, rules = WinningBids.empty(cost.shape[1]), (auction.epsilon, auction.bidder_ids)
+    opening = auction.opening or Opening.empty(*cost.shape)
     bidders = {
-        i: VsdaaBidder(i, cost[i], *rules, 2 * int(graph.diameter[i]), agreed[i], empty)
+        i: VsdaaBidder(
+            i, cost[i], *rules, 2 * int(graph.diameter[i]), agreed[i],
+            empty._replace(price=opening.price[i]), first_target=int(opening.target_index[i]),
+        )
         for i in live
-    }
+    }  # fmt: skip
     return run_rounds(
         graph,
         bidders,

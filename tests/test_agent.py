@@ -93,6 +93,15 @@ def given(rng):
     return make_mission(spread(rng, 4), *legs, allow_undetectable=True, **changes)
 
 
+def slow(rng):
+    # Way costs are lower bounds that hardly hold at this speed, so that the forecast is wrong.
+    rng = np.random.default_rng(3)
+    start, targets = rng.uniform(-2.5, 2.5, (8, 2)), rng.uniform(-2.5, 2.5, (12, 2))
+    leg = sato.Leg(listed(targets + np.array([4.0, 0.0])), 20)
+    changes = {"max_control": 0.2, "max_speed": 0.25, "comm_radius": 100.0, "target_count": 12}
+    return make_mission(start, leg, collision_radius=1e-3, allow_undetectable=True, **changes)
+
+
 def crowded(rng):
     # In so little time some are kept from their targets, and begin again: seed 1.
     rng = np.random.default_rng(1)
@@ -154,7 +163,7 @@ def drifting(rng):
     return make_mission(spread(rng, 6, 3), leg, model=model, max_control=0.3)
 
 
-MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started]
+MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_started, slow]
 OTHERS = [crowded, exchanged, packed, surrounded, crowd_in_the_way, drifting, wreck_in_the_way]
 
 
@@ -214,7 +223,8 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
     mission, auctions, exchanges = draw(rng), [], []
 
     def record_auction(auction):
-        state, history = init_state(auction.cost, auction.graph, auction.target_count), []
+        asked = auction.cost, auction.graph, auction.target_count, auction.opening
+        state, history = init_state(*asked), []
         for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, stride=1):
             history.append((state.price.copy(), state.winner.copy()))
         auctions.append(history)

@@ -21,7 +21,9 @@ from problems.auction_cost import (
     unreachable_cost,
 )
 from problems.transfer import TransferProblem
+from sato.auctions import run_vsdaa
 from sato.network.graph import CommunicationGraph
+from sato.reconfiguration import assignment
 from sato.reconfiguration.assignment import assign_targets, share_claims
 from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -58,20 +60,26 @@ def first_decision(mission, target_count=None):
     return assign_targets(context_of(mission, memory=memory), np.full(N, np.inf))
 
 
+def exact_costs(mission):
+    """Costs of all pairs at the start, and which are within reach, with the speed limit."""
+    leg, model = mission.legs[0], context_of(mission).remaining_model(0)
+    transfer = TransferProblem(model, mission.max_control, mission.max_speed)
+    fuel, reachable, exact = compute_transfer_costs(transfer, mission.initial_states, leg.targets)
+    for i, j in np.argwhere(~exact):
+        found = solve_transfer(transfer, mission.initial_states[i], leg.targets[j])
+        reachable[i, j] = found is not None
+        fuel[i, j] = found.fuel if found else unreachable_cost(model, mission.max_control)
+    distance = compute_distances(model, mission.initial_states, leg.targets)
+    return 10.0 * fuel + 0.2 * distance**2, reachable
+
+
 @pytest.mark.parametrize("speed", [np.inf, 0.32])
 def test_assignment_is_within_n_epsilon_of_the_optimum(rng, speed):
     # Also where the speed limit makes some costs lower bounds at first.
     mission = plan_from(cloud(rng, 12), cloud(rng, 15), max_speed=speed)
     decision = first_decision(mission)
     leg, targets = mission.legs[0], decision.memory.target_index
-    model = context_of(mission).remaining_model(0)
-    transfer = TransferProblem(model, mission.max_control, speed)
-    fuel, reachable, exact = compute_transfer_costs(transfer, mission.initial_states, leg.targets)
-    for i, j in np.argwhere(~exact):
-        found = solve_transfer(transfer, mission.initial_states[i], leg.targets[j])
-        reachable[i, j] = found is not None
-        fuel[i, j] = found.fuel if found else unreachable_cost(model, mission.max_control)
-    cost = 10.0 * fuel + 0.2 * compute_distances(model, mission.initial_states, leg.targets) ** 2
+    cost, reachable = exact_costs(mission)
     cost = cost[:, :12]
     epsilon = 0.1 * min_distance(leg.targets[:, :2]) ** 2
     best = cost[np.arange(12), solve_assignment(cost)].sum()
@@ -79,6 +87,28 @@ def test_assignment_is_within_n_epsilon_of_the_optimum(rng, speed):
     assert len(set(targets)) == 12
     assert cost[np.arange(12), targets].sum() <= best + 12 * epsilon + 1e-9
     assert (decision.solve_count > 0) == np.isfinite(speed)
+
+
+@pytest.mark.parametrize(("speed", "away"), [(0.2, 3.0), (0.25, 4.0)])
+def test_wrong_forecast_with_targets_left_over_does_not_loosen_the_bound(speed, away, monkeypatch):
+    # Some costs are lower bounds, so that an agent leaves the target that it had in the forecast.
+    rng, has_prices = np.random.default_rng(3), []
+
+    def note_prices(auction):
+        has_prices.append(bool(auction.opening.price.any()))
+        return run_vsdaa(auction)
+
+    monkeypatch.setitem(assignment.METHODS, "auction", note_prices)
+    start, targets = cloud(rng, 8) / 2, cloud(rng, 12) / 2 + np.array([away, 0.0])
+    mission = plan_from(start, targets, max_speed=speed)
+    decision = first_decision(mission, target_count=12)
+    assert has_prices[0] and not has_prices[-1]
+    cost, reachable = exact_costs(mission)
+    held = decision.memory.target_index
+    best = cost[np.arange(8), solve_assignment(cost)].sum()
+    epsilon = 0.1 * min_distance(targets) ** 2
+    assert reachable[np.arange(8), held].all()
+    assert cost[np.arange(8), held].sum() <= best + 8 * epsilon + 1e-9
 
 
 def test_distance_cost_minimizes_distance(rng):

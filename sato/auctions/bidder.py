@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from sato.auctions.vsdaa import ANONYMOUS, NO_WINNER, OutOfTargets
+from sato.auctions.vsdaa import ANONYMOUS, FIRST_SLACK, NO_WINNER, OutOfTargets
 
 
 class WinningBids(NamedTuple):
@@ -72,6 +72,7 @@ class VsdaaBidder(NamedTuple):
     quiet_rounds: int = 0  # rounds without news
     round: int = 0
     bid_count: int = 0
+    first_target: int = -1  # of the opening; −1 none
 
     @property
     def is_finished(self) -> bool:
@@ -115,6 +116,9 @@ class VsdaaBidder(NamedTuple):
             winner[:m] = NO_WINNER
         total = self.cost[:m] + np.abs(price[:m])
         j = int(np.argmin(total))
+        if self.target_index < 0 <= self.first_target:
+            is_near = total[self.first_target] <= total[j] + FIRST_SLACK * self.epsilon
+            j = self.first_target if is_near else j
         v = total[j]
         w = np.min(np.delete(total, j)) if m > 1 else v  # line 16 has no minimum for m = 1
         price[j] = abs(price[j]) + (w - v + self.epsilon)

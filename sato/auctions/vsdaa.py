@@ -32,6 +32,7 @@ NO_WINNER = -1  # winner of a target without a standing bid
 ANONYMOUS = 0  # winner of every standing bid where bids carry no number
 MIN_ROOM = 100_000  # for bids in the log
 CACHE_LINE = 8  # numbers
+FIRST_SLACK = 0.5  # of ε, by which the first bid of an opening may be dearer than another
 DONE, RUNNING, LOG_FULL = 0, 1, 2  # outcomes of `_advance`; −1 − i: agent i found no target
 
 
@@ -66,6 +67,7 @@ class VsdaaAuction:
     target_count: Int[Array, " agents"]  # m of each agent, the number of targets it would bid on
     epsilon: float  # bid increment ε, in the unit of the cost
     bidder_ids: bool = True  # True where bids carry the bidder's number, which breaks ties
+    opening: "Opening | None" = None  # None: without prices
 
     def __post_init__(self) -> None:
         """Refuse an auction that cannot end."""
@@ -97,6 +99,23 @@ class VsdaaAuction:
             )
 
 
+class Opening(NamedTuple):
+    """Beginning of an auction: what each agent knows without a bid."""
+
+    price: Float[Array, "agents targets"]  # of targets that are for sale, at most 0
+    target_index: Int[Array, " agents"]  # first bid, see `FIRST_SLACK`; −1 none
+
+    @classmethod
+    def empty(cls, agents: int, targets: int) -> "Opening":
+        """Make an opening without prices."""
+        return cls(np.zeros((agents, targets)), np.full(agents, -1))
+
+    def without(self, agents: Bool[Array, " agents"]) -> "Opening":
+        """Drop what some agents know."""
+        price, target_index = np.where(agents[:, None], 0.0, self.price), self.target_index
+        return Opening(price, np.where(agents, -1, target_index))
+
+
 class VsdaaResult(NamedTuple):
     """Result of an auction."""
 
@@ -118,7 +137,7 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
     Raises:
         OutOfTargets: A component has more agents than there are targets.
     """
-    state = init_state(auction.cost, auction.graph, auction.target_count)
+    state = init_state(auction.cost, auction.graph, auction.target_count, auction.opening)
     dropped: list[BidLog] = []
     for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped=dropped):
         pass
@@ -192,6 +211,7 @@ class VsdaaState(NamedTuple):
     winner_count: Int[Array, " agents"]  # standing bids that each agent knows
     target_count: Int[Array, " agents"]
     target_index: Int[Array, " agents"]
+    first_target: Int[Array, " agents"]  # of the opening
     sent_price: Float[Array, " agents"]  # price of the agent's target in its last message
     last_news_round: Int[Array, " agents"]  # round of the last bid or news
     last_bid_round: Int[Array, " agents"]
@@ -231,28 +251,32 @@ class BidLog(NamedTuple):
         return BidLog(*columns)._replace(size=np.array([0, end]))
 
 
-def init_state(cost: Array, graph: CommunicationGraph, target_count: Array) -> VsdaaState:
+def init_state(
+    cost: Array, graph: CommunicationGraph, target_count: Array, opening: Opening | None = None
+) -> VsdaaState:
     """Initialize all agents, with the largest m of their component."""
     agents, targets = cost.shape
-    ints = [np.zeros(agents, dtype=np.int64) for _ in range(7)]
+    ints = [np.zeros(agents, dtype=np.int64) for _ in range(6)]
+    opening = opening or Opening.empty(agents, targets)
     return VsdaaState(
         cost=np.ascontiguousarray(cost, dtype=np.float64),
         alive=graph.alive,
         hops=graph.hops,
         most_hops=graph.diameter.max(initial=0, keepdims=True),
         patience=2 * graph.diameter,
-        price=np.zeros((agents, targets)),
+        price=np.array(opening.price, dtype=np.float64),
         winner=np.full((agents, targets), NO_WINNER, dtype=np.int32),
-        price_count=ints[0],
-        winner_count=ints[1],
+        price_count=np.count_nonzero(opening.price, axis=1),
+        winner_count=ints[0],
         target_count=graph.component_max(np.asarray(target_count, dtype=np.int64)),
         target_index=np.full(agents, -1),
+        first_target=np.asarray(opening.target_index, dtype=np.int64),
         sent_price=np.zeros(agents),
-        last_news_round=ints[2],
-        last_bid_round=ints[3],
-        bid_count=ints[4],
-        merged_round=ints[5],
-        merged_bid=ints[6],
+        last_news_round=ints[1],
+        last_bid_round=ints[2],
+        bid_count=ints[3],
+        merged_round=ints[4],
+        merged_bid=ints[5],
         has_news=np.zeros(agents, dtype=bool),
         first_holder=np.full(targets, -1),
         next_holder=np.full(agents, -1),
@@ -437,6 +461,11 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
             w = total
     if m == 1:
         w = v
+    first = s.first_target[i]
+    if s.target_index[i] < 0 and 0 <= first != best:
+        total = cost[first] + abs(price[first])
+        if total <= v + FIRST_SLACK * epsilon:
+            best, v, w = first, total, v
     s.price_count[i] += price[best] == 0
     s.winner_count[i] += winner[best] < 0
     price[best] = abs(price[best]) + (w - v + epsilon)

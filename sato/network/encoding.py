@@ -8,8 +8,9 @@ counts, steps and rounds take 2 bytes, flags 1, real numbers 8.
     content          bytes
     census           2 for the largest eccentricity; 4 for each new `Hello`, and once for all that
                      have the rest in common 16
-    AuctionTerms     12; at first, once for all that have them in common, 4 for each step in which
-                     targets were claimed, 4 for each claim and 2 for each blocked target
+    AuctionTerms     12 and the state; at first, once for all that have them in common, 4 for each
+                     step in which targets were claimed, 4 for each claim and 2 for each blocked
+                     target
     bids             12 for each price that has changed
     AuctionReport    7
     bending          2 for the last change; at first 17, the target and the trajectory; then 4, and

@@ -122,6 +122,12 @@ class CommunicationGraph:
         return label_components(self.adjacency, self.alive)
 
     @cached_property
+    def component_sizes(self) -> Int[Array, " agents"]:
+        """Number of agents in each agent's component; 0 where not alive."""
+        size = np.bincount(self.component[self.alive], minlength=1)
+        return np.where(self.alive, size[self.component], 0)
+
+    @cached_property
     def hops(self) -> Int[Array, "agents agents"]:
         """Length of a shortest path between two agents; FAR between components."""
         hops = np.full(self.adjacency.shape, FAR, dtype=np.int32)

@@ -19,9 +19,9 @@ diameter; the agents know it, and each other's reports, from the first stage on.
 Nothing rests in orbit, where the choice is the last stage. Evasion follows where something comes
 over what an agent has chosen; from the reports all compute the same changes.
 Terms and auction are left out where plans are kept and no agent calls for an auction.
-The auction begins again from its terms where a winner's cost was only a lower bound, where the
-clock is reset, and where a target out of reach was won. An instant at which none of the component
-is due to plan ends with the census.
+The auction begins again from its terms where a target that is left over is dear, where a winner's
+cost was only a lower bound, where the clock is reset, and where a target out of reach was won. An
+instant at which none of the component is due to plan ends with the census.
 
 `assign_targets` and `plan_trajectories` compute the same for all agents at once. Here the same
 functions are called with the agent alone alive: of every array, only the row of its number counts.
@@ -36,7 +36,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from sato.auctions.bidder import VsdaaBidder, WinningBids
-from sato.auctions.vsdaa import VsdaaAuction
+from sato.auctions.vsdaa import Opening, VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, commitment, evasion, planning, stopping, target_costs
@@ -50,6 +50,13 @@ from sato.reconfiguration.agent_stages import (
     Turns,
     extend,
     keeps_clear,
+)
+from sato.reconfiguration.auction_opening import (
+    count_targets,
+    counts_members,
+    forecast_alone,
+    has_dear_leftovers,
+    is_forecast,
 )
 from sato.reconfiguration.bidding_rules import apply_bidding_rules, compute_epsilon, firm_penalty
 from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
@@ -97,6 +104,7 @@ class Decision(NamedTuple):
     heard_clock: int = 0  # the clock with the most time left among these
     attempt: Literal["first", "reset", "firm"] = "first"  # of the auction
     table: target_costs.CostTable | None = None  # of the auction
+    is_unpriced: bool = False  # it begins without prices
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
     previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
@@ -382,13 +390,15 @@ class Decision(NamedTuple):
 
     def _announce_terms(self, attempt: Literal["first", "reset", "firm"]) -> "Decision":
         assert self.planned_cost is not None
-        table = target_costs.compute_costs(self.context, self.planned_cost)
-        return self._replace(attempt=attempt, table=table)._repeat_terms()
+        table = target_costs.compute_costs(self.context)
+        table = target_costs.trust_plans(self.context, table, self.planned_cost)
+        return self._replace(attempt=attempt, table=table, is_unpriced=False)._repeat_terms()
 
     def _repeat_terms(self) -> "Decision":
         assert self.table is not None
         m, i = int(self.context.memory.target_count[self.number]), self.number
-        terms = AuctionTerms(i, m, target_costs.cost_range(self.table, i)[1])
+        state = tuple(self.context.state[i].tolist())
+        terms = AuctionTerms(i, m, target_costs.cost_range(self.table, i)[1], state)
         if not self.has_claims:
             memory = self.context.memory
             step, target = (c[i].tolist() for c in (memory.claim_step, memory.claimed_target))
@@ -406,21 +416,31 @@ class Decision(NamedTuple):
             firm = firm_penalty(ranges)
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
         cost = apply_bidding_rules(table, memory, self.number, is_near, firm)
-        m = max(terms.target_count for terms in flood.message)
+        count = np.array(max(terms.target_count for terms in flood.message))
+        if counts_members(mission):
+            count = count_targets(count, np.array(len(self.members)), len(cost))
         order = np.arange(len(cost))
         if self.blocked:
-            left_out = np.isin(order, self.blocked)
-            order, counts = order_targets(np.array(m), left_out)
-            cost, m = cost[order], int(counts)
+            order, count = order_targets(count, np.isin(order, self.blocked))
+        cost, m = cost[order], int(count)
         epsilon = compute_epsilon(mission, self.context.leg)
-        VsdaaAuction(cost[None], ALONE, np.array([m]), epsilon)  # checks its data
-        empty, rules = WinningBids.empty(len(cost)), (epsilon, mission.bidder_ids)
-        bidder = VsdaaBidder(self.number, cost, *rules, 2 * self.diameter, m, empty)
+        VsdaaAuction(cost[None], ALONE, count[None], epsilon)  # checks its data
+        opening = Opening.empty(1, len(cost))
+        if is_forecast(mission, self.context.leg) and not self.is_unpriced:
+            states = {terms.agent: terms.state for terms in sorted(flood.message)}
+            told = self.context, self.number, states
+            opening = forecast_alone(*told, firm is not None, order, m)
+        (price,), (first,) = opening
+        bids = WinningBids.empty(len(cost))._replace(price=price)
+        rules = epsilon, mission.bidder_ids, 2 * self.diameter, m
+        bidder = VsdaaBidder(self.number, cost, *rules, bids, first_target=int(first))
         reports = Flood(len(self.members), self.diameter)
         return self._enter(Bidding(self.context, table, bidder, order, reports))
 
     def _after_auction(self, bidding: Bidding) -> "Decision":
         reports, won = bidding.flood.message, bidding.target_index
+        if bidding.bidder.first_target >= 0 and has_dear_leftovers(bidding.bidder.bids.price):
+            return self._replace(is_unpriced=True)._repeat_terms()
         if not all(report.is_exact for report in reports):
             table = target_costs.CostTable(*(part.copy() for part in bidding.table))
             if not table.is_exact[self.number, won]:

@@ -27,6 +27,7 @@ class AuctionTerms(NamedTuple):
     agent: int
     target_count: int  # m
     cost_range: float  # [m]
+    state: tuple[float, ...]  # by which it plans
     claims: tuple[tuple[int, int, int], ...] = ()  # agent, step and target, of all that it knows
     blocked: tuple[int, ...] = ()  # targets that it knows to be blocked
     round: int = 0

@@ -8,18 +8,23 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from sato.auctions import VsdaaAuction, VsdaaResult, assign_centrally, assign_given, run_vsdaa
-from sato.network.encoding import AUCTION_REPORT, BID, TERMS, measure_claims
+from sato.auctions.vsdaa import Opening
+from sato.network.encoding import AUCTION_REPORT, BID, REAL, TERMS, measure_claims
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load, count_flood, fingerprint
+from sato.reconfiguration.auction_opening import (
+    count_targets,
+    counts_members,
+    forecast_opening,
+    has_dear_leftovers,
+    is_forecast,
+)
 from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon
 from sato.reconfiguration.blocked_targets import agree_on_blocked, find_all_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
-from sato.reconfiguration.target_costs import (
-    compute_costs,
-    refine_cost,
-)
+from sato.reconfiguration.target_costs import compute_costs, refine_cost, trust_plans
 
 METHODS = {"auction": run_vsdaa, "given": assign_given, "central": assign_centrally}
 
@@ -165,25 +170,34 @@ def run_auction(
     """
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
-    table, solves = compute_costs(context, planned_cost), 0
-    count, order = memory.target_count, None
+    table, solves = compute_costs(context), 0
+    count, order = memory.target_count, np.arange(len(context.leg.targets))
+    if counts_members(mission):
+        count = count_targets(count, graph.component_sizes, len(order))
     if blocked is not None:
         order, count = order_targets(count, blocked)
-    load, bids = Load.none(len(graph.alive)), graph.alive  # again, where a cost was refined
+    order = np.broadcast_to(order, table.cost.shape)
+
+    def make(opening: Opening | None) -> VsdaaAuction:
+        bids = compute_bid_costs(table, memory, graph, is_firm, mission.printed)
+        cost = np.take_along_axis(bids, order, axis=1)
+        return VsdaaAuction(cost, graph, count, epsilon, mission.bidder_ids, opening)
+
+    opening = forecast_opening(make(None)) if is_forecast(mission, context.leg) else None
+    table = trust_plans(context, table, planned_cost)
+    load, bids = Load.none(len(graph.alive)), graph.alive  # that bid, at first all
     while True:
-        cost = compute_bid_costs(table, memory, graph, is_firm, mission.printed)
-        if order is not None:
-            cost = np.take_along_axis(cost, order, axis=1)
-        auction = METHODS[mission.assignment](
-            VsdaaAuction(cost, graph, count, epsilon, mission.bidder_ids)
+        auction = METHODS[mission.assignment](make(opening))
+        load = load.plus(_count_load(auction, graph, context.state.shape[1]), bids)
+        is_dear = graph.alive & has_dear_leftovers(auction.price)
+        if opening is not None and is_dear.any():
+            opening, bids = opening.without(is_dear), is_dear
+            continue
+        index = order[np.arange(len(order)), np.maximum(auction.target_index, 0)]
+        auction = auction._replace(
+            target_index=np.where(graph.alive, index, -1),
+            target_count=np.maximum(auction.target_count, memory.target_count),
         )
-        if order is not None:
-            index = order[np.arange(len(order)), np.maximum(auction.target_index, 0)]
-            auction = auction._replace(
-                target_index=np.where(graph.alive, index, -1),
-                target_count=np.maximum(auction.target_count, memory.target_count),
-            )
-        load = load.plus(_count_load(auction, graph), bids)
         won = auction.target_index[live]
         inexact = ~table.is_exact[live, won]
         if not inexact.any():
@@ -196,7 +210,7 @@ def run_auction(
             refine_cost(context, table, i, j)
 
 
-def _count_load(auction: VsdaaResult, graph: CommunicationGraph) -> Load:
+def _count_load(auction: VsdaaResult, graph: CommunicationGraph, states: int) -> Load:
     """Count the load of an auction: of its terms, of bids, and of reports that all have stopped.
 
     When the first agent stops, none has had news for at least D rounds.
@@ -205,7 +219,7 @@ def _count_load(auction: VsdaaResult, graph: CommunicationGraph) -> Load:
     if not bids.any():
         return Load.none(len(bids))
     begin = np.where(bids, 0, -1)
-    terms = count_flood(graph, graph.diameter, begin, TERMS)
+    terms = count_flood(graph, graph.diameter, begin, TERMS + REAL * states)
     first = int(auction.stop_round[bids].min())
     made = np.where(bids, auction.stop_round - first, -1)
     last = graph.component_max(made) + graph.diameter

@@ -85,7 +85,7 @@ def _measure_claims(told: Iterable[Any], now: Iterable[Any]) -> int:
 def measure_report(report: Any) -> int:
     """Return the bytes of a report other than `Hello`."""
     if isinstance(report, AuctionTerms):
-        return encoding.TERMS
+        return encoding.TERMS + encoding.REAL * len(report.state)
     if isinstance(report, AuctionReport):
         return encoding.AUCTION_REPORT
     if isinstance(report, ExchangeReport):

@@ -27,22 +27,33 @@ def cost_range(table: CostTable, i: int) -> tuple[float, float]:
     return (float(cost.max()), float(cost.max() - cost.min())) if len(cost) else (0.0, 0.0)
 
 
-def compute_costs(context: DecisionContext, planned_cost: Float[Array, " agents"]) -> CostTable:
-    """Compute the costs of all agents that decide.
-
-    Args:
-        context: States and memory of the agents that decide.
-        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
-            without a plan.
-    """
-    mission, leg, memory = context.mission, context.leg, context.memory
+def compute_costs(context: DecisionContext) -> CostTable:
+    """Compute the costs of all agents that decide."""
+    leg = context.leg
     shape = (len(context.state), len(leg.targets))
     table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
     for clock, agents in context.group_agents():
         model, x = context.remaining_model(clock), context.state[agents]
         for whole, part in zip(table, _costs_of(context, model, agents, x), strict=True):
             whole[agents] = part
-    # A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
+    return table
+
+
+def trust_plans(
+    context: DecisionContext, table: CostTable, planned_cost: Float[Array, " agents"]
+) -> CostTable:
+    """Return the costs, with the plans to targets that are out of reach by them.
+
+    A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
+
+    Args:
+        context: States and memory of the agents that decide.
+        table: Their costs.
+        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
+            without a plan.
+    """
+    mission, leg, memory = context.mission, context.leg, context.memory
+    table = CostTable(*(part.copy() for part in table))
     for i in np.flatnonzero(np.isfinite(planned_cost)):
         j = memory.target_index[i]
         if not table.is_reachable[i, j]:
