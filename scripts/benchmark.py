@@ -70,6 +70,7 @@ def fly(agents: int) -> dict[str, float]:
     clock.watch(reach, "check_reach", "feasibility")
     clock.watch(draw.first_commitment, "check_reach", "feasibility")
     clock.watch(assignment, "compute_costs", "prices")
+    clock.watch(assignment, "forecast_opening", "auction")
     assignment.METHODS["auction"] = clock.add_time(assignment.METHODS["auction"], "auction")
     clock.watch(planning, "plan_trajectories", "trajectories")
     clock.watch(loop, "commit", "trajectories")
