@@ -140,3 +140,24 @@ def test_two_that_decided_apart_call_for_an_auction(monkeypatch):
     ]
     assert assigned == [(2, [0]), (4, [1])]
     assert len(np.unique(frames[-1].target_index)) == 2
+
+
+@pytest.mark.parametrize("missed", range(3, 8))
+def test_all_arrive_though_all_stop_as_none_gets_through_a_decision(missed, monkeypatch):
+    mission = sato.read(
+        "random",
+        [
+            *("swarm.agents=4", "swarm.comm_radius_m=20", "link.round_s=0.02"),
+            *("plan.replan_steps=4", "plan.horizon_steps=8", "plan.auction_steps=8"),
+        ],
+    )
+    finish, count = network_decision.Negotiations.finish, 0
+
+    def miss(*data):
+        nonlocal count
+        count, found = count + 1, finish(*data)
+        late = [np.zeros_like(through) for through in found.through]
+        return replace(found, through=late) if count == missed else found
+
+    monkeypatch.setattr(network_decision.Negotiations, "finish", miss)
+    assert sato.run(mission).check().kept

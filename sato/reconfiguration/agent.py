@@ -275,6 +275,7 @@ class Agent:
                 stop = stop_at_once(mission, i, context.state[i], instant)
                 flown = flown._replace(committed={i: stop})
             context = foresee(context, i, flown.committed, self._has_begun(flown))
+            flown = flown._replace(plans=give_up_missed(context, flown.plans))
         assert flown.leg_start is not None
         own = flown.plans, flown.committed, flown.spent
         shared = flown.leg_start, checksum(mission, flown.leg)

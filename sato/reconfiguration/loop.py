@@ -312,6 +312,7 @@ class _Flight:
         mission = self.mission
         self._stop_uncommitted(context)
         later = self._foresee(context)
+        self.plans = give_up_missed(later, self.plans)  # that end before they are flown again
         outcomes = []
         for deciding, bids in self._schedule_decisions(later, self.called):
             outcomes.append(self._decide(later._replace(graph=deciding, memory=later.memory), bids))
