@@ -91,6 +91,9 @@ def run(
         bool, Option("--free-running", help="Each vehicle a process, by the clock.")
     ] = False,
     port: Annotated[int | None, Option(help="Port of processes; any that is free.")] = None,
+    speed: Annotated[
+        float, Option(min=1e-3, max=1e3, help="Of processes that run freely, over the clock's.")
+    ] = 1.0,
 ) -> None:
     """Fly a scenario; write DIR/run.nc and DIR/summary.json."""
     from sato.console import print_summary
@@ -106,6 +109,7 @@ def run(
         progress=not quiet,
         processes="free-running" if free_running else "lock-step" if processes else None,
         port=port,
+        speed=speed,
     )
     is_old = (folder / RUN_FILE).exists()
     save_somewhere(flown, folder)
@@ -124,7 +128,7 @@ def vehicle(
     port: Annotated[int, Option(help="Port at which `sato run --processes` listens.")],
 ) -> None:
     """Start the process of a vehicle whose own was killed; it joins the flight."""
-    from sato.processes.vehicle import run_vehicle
+    from sato.processes.vehicle_process import run_vehicle
 
     run_vehicle(port, number)
 

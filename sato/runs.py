@@ -164,6 +164,7 @@ def run(
     progress: bool | FrameCallback | None = None,
     processes: Literal["lock-step", "free-running"] | None = None,
     port: int | None = None,
+    speed: float = 1.0,
 ) -> Run:
     """Fly a mission and check the run.
 
@@ -181,6 +182,7 @@ def run(
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
         port: Port of the loopback interface by which processes talk; any that is free by default.
+        speed: Times as fast as by the clock that processes fly which run freely.
 
     Raises:
         ValueError: The scenario cannot be flown; nothing was.
@@ -192,10 +194,10 @@ def run(
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:
-            from sato.processes.flight import as_processes, print_line
+            from sato.processes.flight import as_processes, print_processes
 
-            own = (print_line,) if progress is True else ()
-            system = as_processes(system, mission, int(seed), processes, port, *own)
+            own = (print_processes,) if progress is True else ()
+            system = as_processes(system, mission, int(seed), processes, port, speed, *own)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
         callback = progress if callable(progress) else (lambda mission, frame: None)

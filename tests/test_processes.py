@@ -17,6 +17,7 @@ from sato.processes import fleet as fleet_module
 from sato.processes.fleet import Fleet, VehicleError
 from sato.processes.flight import as_processes
 from sato.processes.lock_step import LockStep
+from sato.processes.messages import Call, Measured
 from sato.processes.world import World, move
 from sato.reconfiguration.check.promises import check_run
 from sato.reconfiguration.loop import simulate
@@ -162,8 +163,8 @@ def test_fault_of_a_vehicle_ends_the_flight_with_its_reason():
     with flight(mission) as (fleet, processes):
         frames = processes.fly()
         next(frames)
-        fleet.send(1, "nonsense")
-        with pytest.raises(VehicleError, match="vehicle 1"):
+        fleet.send(1, Call(0, 0, Measured(5, np.zeros(4), ()), (), True))
+        with pytest.raises(VehicleError, match=r"vehicle 1: .* called at instant 5 after"):
             list(frames)
 
 

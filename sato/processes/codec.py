@@ -28,10 +28,16 @@ TYPES = """
     sato.obstacles:Ellipsoid
     sato.obstacles:Polytope
     sato.obstacles:Sphere
+    sato.processes.messages:Alive
     sato.processes.messages:Briefing
     sato.processes.messages:Call
+    sato.processes.messages:Consent
     sato.processes.messages:Fault
     sato.processes.messages:Hearing
+    sato.processes.messages:Held
+    sato.processes.messages:Intention
+    sato.processes.messages:Measured
+    sato.processes.messages:Packet
     sato.processes.messages:Reply
     sato.processes.messages:Status
     sato.reconfiguration.agent_inputs:AgentMessage

@@ -12,7 +12,7 @@ from typing import Any
 
 from sato.processes.messages import Fault, Hearing
 from sato.processes.network import Connection, find_port, load_zenoh
-from sato.processes.vehicle import run_vehicle
+from sato.processes.vehicle_process import run_vehicle
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
 
@@ -20,7 +20,7 @@ MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
 START_TIME = 60.0  # within which all processes are there [s]
 LOOK_INTERVAL = 0.1  # at which the world looks whether processes are there [s]
-PRELOADED = ["sato.processes.vehicle"]  # by the process from which the others are forked
+PRELOADED = ["sato.processes.vehicle_process"]  # by the process from which the others are forked
 MEMINFO = Path("/proc/meminfo")
 
 
@@ -119,6 +119,10 @@ class Fleet:
     def send(self, number: int, value: Any) -> None:
         """Send a value to a vehicle."""
         self._connection.send(number, value)
+
+    def pass_on(self, number: int, data: bytes) -> None:
+        """Send a value that is encoded already."""
+        self._connection.send_encoded(number, data)
 
     def receive(self, timeout: float = LOOK_INTERVAL) -> tuple[int, Any] | None:
         """Return the next value of a vehicle, and its number; None if there is none in a time [s].

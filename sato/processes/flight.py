@@ -9,6 +9,7 @@ import numpy as np
 
 from sato.interfaces import System
 from sato.processes.fleet import MAX_VEHICLES, Fleet, VehicleError, check_memory
+from sato.processes.free_running import FreeRunning
 from sato.processes.lock_step import LockStep
 from sato.processes.network import load_zenoh
 from sato.processes.world import World
@@ -27,7 +28,8 @@ def as_processes(
     seed: int,
     mode: Mode,
     port: int | None = None,
-    announce: Callable[[str], object] = lambda text: None,
+    speed: float = 1.0,
+    announce: Callable[[Fleet], object] = lambda fleet: None,
 ) -> System[Any, Any]:
     """Return a system that flies a mission with a process for each vehicle.
 
@@ -37,7 +39,8 @@ def as_processes(
         seed: Seed with which it is drawn.
         mode: In lock step, or free running.
         port: At which the world listens; any that is free by default.
-        announce: Called with a sentence on the processes, once all are there.
+        speed: Times as fast as by the clock, free running.
+        announce: Called with the processes, once all are there.
 
     Raises:
         InputError: The mission cannot be flown so; says what would do.
@@ -55,11 +58,13 @@ def as_processes(
         drawn: Reconfiguration, rng: np.random.Generator
     ) -> Iterator[ReconfigurationFrame]:
         check_vehicles(drawn)
+        check_link(drawn, mode)
         with Fleet(port) as fleet:
-            flight = LockStep(World(drawn, rng), fleet, scenario, seed)
+            own = World(drawn, rng), fleet, scenario, seed
+            flight = LockStep(*own) if mode == "lock-step" else FreeRunning(*own, speed)
             for k, frame in enumerate(flight.fly()):
                 if k == 0:
-                    announce(describe(fleet))
+                    announce(fleet)
                 yield frame
 
     return replace(system, simulate=simulate, stop_errors=(*system.stop_errors, VehicleError))
@@ -82,12 +87,22 @@ def check_vehicles(mission: Reconfiguration) -> None:
     check_memory(count)
 
 
-def describe(fleet: Fleet) -> str:
-    """Describe the processes: their numbers to the operating system, and the port."""
+def check_link(mission: Reconfiguration, mode: Mode) -> None:
+    """Refuse a mission whose messages do not pass as processes pass them.
+
+    Raises:
+        InputError: They do not; says what would do.
+    """
+    if mode == "free-running" and not mission.lag_steps:
+        reason = "is 0, and messages between processes take time; 0.02 would do"
+        raise InputError("link.round_s", reason)
+    if mission.link.skew:
+        reason = f"{mission.link.skew:g}: processes have the same clock; 0 would do"
+        raise InputError("link.skew_s", reason)
+
+
+def print_processes(fleet: Fleet) -> None:
+    """Print the numbers of the processes to the operating system, and the port of the world."""
     each = ", ".join(f"{i}: {fleet.ids[i]}" for i in sorted(fleet.ids))
-    return f"processes of the vehicles: {each}; the world listens at port {fleet.port}"
-
-
-def print_line(text: str) -> None:
-    """Print a line on the error stream."""
+    text = f"processes of the vehicles: {each}; the world listens at port {fleet.port}"
     print(text, file=sys.stderr)

@@ -1,108 +1,137 @@
 """Flight of vehicles that are processes, in lock step: a barrier each round of the network."""
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.processes.fleet import Fleet
-from sato.processes.messages import Call, Reply, Status
+from sato.processes.messages import Call, Measured, Reply, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
 from sato.reconfiguration.disturbances import measure
-from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.state import ReconfigurationFrame
+
+ROUNDING = 1e-6  # of a control step, by which a round may come too soon
 
 
 class LockStep:
-    """Flight in which no vehicle goes on before all have acted in a round.
+    """Flight in which no vehicle goes on before all have acted in a round of the network.
 
-    A paused process is waited for. One that ends is a loss; if others were about to decide with it,
-    they begin their decision again without it, for no time has passed.
+    A paused process is waited for. One that ends is a loss; where decisions take no time, others
+    begin theirs again without it.
     """
 
     def __init__(self, world: World, fleet: Fleet, scenario: str, seed: int) -> None:
         self.world, self.fleet, self._serial = world, fleet, 0
         self.presence = Presence(world, fleet, scenario, seed, 0.0)
         self._link_rng = world.rng.spawn(1)[0]  # draws losses and delays of messages
+        self._relay: _Relay
 
     def fly(self) -> Iterator[ReconfigurationFrame]:
         """Fly all legs; yield a frame at every control instant."""
-        self.presence.begin()
-        for number in range(len(self.world.mission.legs)):
-            self.world.begin_leg(number)
-            yield from self._fly_leg()
-        yield self.world.make_frame()
-
-    def _fly_leg(self) -> Iterator[ReconfigurationFrame]:
         world = self.world
-        most = MAX_LEG_FACTOR * world.mission.legs[world.leg_index].steps
-        while True:
-            self.fleet.drain()
-            self.presence.update()
-            is_given_up = world.leg_step == most
-            if is_given_up or (world.leg_step > 0 and world.have_arrived()):
-                world.end_leg(is_given_up)
-                return
-            measured = measure(world.mission, world.x, world.rng)
-            control = world.take_reports(self._decide(measured))
-            applied = world.disturb(control)
-            yield world.make_frame(control, applied, measured)
-            world.fly(control, applied)
+        self.presence.begin()
+        for number in range(len(world.mission.legs)):
+            world.begin_leg(number)
+            while True:
+                self.fleet.drain()
+                self.presence.update()
+                if world.end_leg():
+                    break
+                measured = measure(world.mission, world.x, world.rng)
+                first, last = self._decide(measured)
+                control = world.take_reports(first)
+                world.status |= last
+                applied = world.disturb(control)
+                yield world.make_frame(control, applied, measured)
+                world.fly(control, applied)
+        yield world.make_frame()
 
-    def _decide(self, measured: Array) -> dict[int, Status]:
-        """Let all decide in rounds of messages; return what they report."""
-        reports = None
-        while reports is None:
-            reports = self._try_to_decide(measured)
-        return reports
+    def _decide(self, measured: Array) -> tuple[dict[int, Status], dict[int, Status]]:
+        """Let all act until the next instant; return their first and last reports."""
+        world, seen = self.world, self.world.look_around()
+        each = range(len(measured))
+        told = {i: Measured(world.step_index, measured[i], seen.get(i, ())) for i in each}
+        if world.mission.lag_steps:
+            return self._negotiate(told)
+        while (reports := self._agree(told)) is None:
+            pass
+        return reports, reports
 
-    def _try_to_decide(self, measured: Array) -> dict[int, Status] | None:
-        """Let all decide; return what they report, or None where one has ended meanwhile."""
-        world, reports, now = self.world, dict[int, Status](), 0
-        graph, seen = world.connect(), world.look_around()
-        channel = Channel(world.mission.link, graph, self._link_rng.spawn(1)[0])
-        arriving: defaultdict[tuple[int, int], list[bytes]] = defaultdict(list)
-        while len(reports) < len(world.live):
-            self._serial += 1
-            calls = {
-                i: Call(
-                    serial=self._serial,
-                    leg=world.leg_index,
-                    time=world.time,
-                    state=measured[i],
-                    inbox=tuple(arriving.pop((now, i), ())),
-                    seen=seen.get(i, ()),
-                    begins=now == 0,
-                )
-                for i in world.live
-            }
-            replies = self._call(calls)
-            if replies is None:
+    def _agree(self, told: Mapping[int, Measured]) -> dict[int, Status] | None:
+        """Let all decide at once; return their reports, or None where one has ended meanwhile."""
+        self._relay, live = self._begin_relay(), self.world.live
+        reports: dict[int, Status] = {}
+        while reports.keys() != set(live):
+            replies = self._call(told, self._relay.round == 0)
+            if self.world.live != live:
                 return None
             reports = {i: r.status for i, r in replies.items() if r.status is not None}
-            channel.extend(now + 1)
-            edges = zip(channel.sender, channel.receiver, channel.arrival[:, now], strict=True)
-            for sender, receiver, at in edges:
-                if at != NEVER:
-                    arriving[int(at), int(receiver)].append(replies[int(sender)].packet)
-            now += 1
         return reports
 
-    def _call(self, calls: dict[int, Call]) -> dict[int, Reply] | None:
-        """Call all once, and wait for their replies; None where one has ended instead."""
-        for i, call in calls.items():
-            self.fleet.send(i, call)
+    def _negotiate(
+        self, told: Mapping[int, Measured]
+    ) -> tuple[dict[int, Status], dict[int, Status]]:
+        """Let all go on with decisions that take time; return their first and last reports."""
+        world, mission = self.world, self.world.mission
+        if world.leg_step % mission.lag_steps == 0:
+            self._relay = self._begin_relay()
+        relay, ratio = self._relay, mission.link.round / mission.step
+        most = mission.decision_rounds
+        first: dict[int, Status] = {}
+        last: dict[int, Status] = {}
+        step = world.step_index - relay.instant
+        while relay.round < most and int(relay.round * ratio + ROUNDING) == step:
+            replies = self._call(told, not first)
+            last = {i: r.status for i, r in replies.items() if r.status is not None}
+            first = {i: first.get(i, own) for i, own in last.items()}
+        return first, last
+
+    def _begin_relay(self) -> "_Relay":
+        world = self.world
+        channel = Channel(world.mission.link, world.connect(), self._link_rng.spawn(1)[0])
+        return _Relay(channel, world.step_index)
+
+    def _call(self, told: Mapping[int, Measured], begins: bool) -> dict[int, Reply]:
+        """Let all act in a round; return the replies of those that do not end meanwhile."""
+        self._serial += 1
+        for i in self.world.live:
+            own = told[i], tuple(self._relay.take(i)), begins
+            self.fleet.send(i, Call(self._serial, self.world.leg_index, *own))
         replies: dict[int, Reply] = {}
-        while replies.keys() != calls.keys():
+        while replies.keys() != set(self.world.live):
             received = self.fleet.receive()
             if received is not None and isinstance(received[1], Reply):
                 number, reply = received
-                if reply.serial == self._serial:
+                if reply.serial == self._serial and self.world.alive[number]:
                     replies[number] = reply
             gone = self.fleet.take_gone()
-            if gone:
-                self.world.lose(gone)
-                return None
+            self.world.lose(gone)
+            replies = {i: reply for i, reply in replies.items() if i not in gone}
+        self._relay.send({i: reply.packet for i, reply in replies.items()})
         return replies
+
+
+class _Relay:
+    """Packets on their way between vehicles, from the beginning of a decision on."""
+
+    def __init__(self, channel: Channel, instant: int) -> None:
+        self.instant, self.round, self._channel = instant, 0, channel
+        self._arriving: defaultdict[tuple[int, int], list[bytes]] = defaultdict(list)
+
+    def take(self, receiver: int) -> list[bytes]:
+        """Take the packets that arrive at a vehicle in this round."""
+        return self._arriving.pop((self.round, receiver), [])
+
+    def send(self, packets: Mapping[int, bytes | None]) -> None:
+        """Send the packets of this round, and go on to the next."""
+        channel = self._channel
+        channel.extend(self.round + 1)
+        arrival = channel.arrival[:, self.round]
+        for sender, receiver, at in zip(channel.sender, channel.receiver, arrival, strict=True):
+            packet = packets.get(int(sender))
+            if packet is not None and at != NEVER:
+                self._arriving[int(at), int(receiver)].append(packet)
+        self.round += 1

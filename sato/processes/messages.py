@@ -13,6 +13,13 @@ from sato.reconfiguration.stopping import Commitment
 from sato.reconfiguration.surroundings import Sensed
 
 
+class Hearing(NamedTuple):
+    """Sign of life of a vehicle that has no mission yet."""
+
+    number: int
+    process: int  # its number to the operating system
+
+
 class Briefing(NamedTuple):
     """All that a vehicle is told once: its mission, and how it takes part."""
 
@@ -23,28 +30,29 @@ class Briefing(NamedTuple):
     tick: float  # time between two packets of a vehicle that runs freely [s]; 0 in lock step
 
 
-class Hearing(NamedTuple):
-    """Sign of life of a vehicle that has no mission yet."""
+class Measured(NamedTuple):
+    """What a vehicle measures and sees at a control instant."""
 
-    number: int
-    process: int  # its number to the operating system
+    instant: int  # steps since the start of the mission
+    state: Float[Array, " n"]
+    seen: tuple[Sensed, ...]
 
 
 class Call(NamedTuple):
-    """Request to act in one round of messages."""
+    """Request to act in one round of the network, in lock step."""
 
     serial: int
     leg: int  # under way
-    time: float  # [s]
-    state: Float[Array, " n"]  # measured
+    measured: Measured
     inbox: tuple[bytes, ...]  # packets of neighbors that arrive
-    seen: tuple[Sensed, ...]
     begins: bool  # the instant, once more where others have fallen silent in the middle of it
 
 
 class Status(NamedTuple):
-    """Report for the record, after a decision; no vehicle hears it."""
+    """Report for the record; no vehicle hears it."""
 
+    leg: int  # under way
+    is_leg_over: bool  # as the vehicle knows
     control: Float[Array, " d"]  # held [m/s²]
     commitment: Commitment | None
     target_index: int
@@ -57,13 +65,51 @@ class Status(NamedTuple):
     blocked: tuple[int, ...]  # targets that are left out
     events: tuple[dict[str, Any], ...]
 
+    def then(self, later: "Status") -> "Status":
+        """Return a later report, with all that has happened since this one."""
+        decides, calls = self.decides or later.decides, self.calls or later.calls
+        return later._replace(decides=decides, calls=calls, events=(*self.events, *later.events))
+
 
 class Reply(NamedTuple):
-    """Packet of a vehicle in a round, and its report once its decision is made."""
+    """Packet of a vehicle in a round, and its report once its decision is made, in lock step."""
 
     serial: int
-    packet: bytes
+    packet: bytes | None
     status: Status | None
+
+
+class Packet(NamedTuple):
+    """Packet to or from others within hearing, when vehicles run freely."""
+
+    sender: int
+    until: int  # instant from which on it is void
+    neighbors: tuple[int, ...] | None  # with which the sender decides; None while it listens
+    round: int  # in which the sender has acted
+    content: bytes
+
+
+class Intention(NamedTuple):
+    """Request of a vehicle that runs freely to fly something else from an instant on."""
+
+    commitment: Commitment
+
+
+class Consent(NamedTuple):
+    """Answer of the actuators: what is intended from an instant on is flown."""
+
+    first_step: int
+
+
+class Alive(NamedTuple):
+    """Sign of life of a vehicle that runs freely, and has nothing else to say."""
+
+
+class Held(NamedTuple):
+    """Report of a vehicle that runs freely, at a control instant."""
+
+    instant: int
+    status: Status
 
 
 class Fault(NamedTuple):

@@ -89,8 +89,12 @@ class Connection:
 
     def send(self, to: int | str, value: Any) -> None:
         """Send a value to a vehicle, or to the world."""
+        self.send_encoded(to, encode(value))
+
+    def send_encoded(self, to: int | str, data: bytes) -> None:
+        """Send a value that is encoded already."""
         key = f"{self._prefix}/to/{to}/from/{self._own}"
-        self._session.put(key, encode(value), **self._options)
+        self._session.put(key, data, **self._options)
 
     def receive(self, timeout: float | None) -> tuple[str, Any] | None:
         """Return the sender and the next value; None if there is none within a time [s].

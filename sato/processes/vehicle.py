@@ -1,70 +1,25 @@
-"""Process of one vehicle: its state and its memory, and messages to and from others."""
+"""Vehicle of a process: an agent, and what of its memory goes into the record."""
 
-import os
-import signal
-import time
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from sato.network.flooding import Census
-from sato.processes.codec import decode, encode
-from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply, Status
-from sato.processes.network import WORLD, Connection
+from sato.processes.messages import Briefing, Measured, Status
 from sato.reconfiguration.agent import Agent
+from sato.reconfiguration.agent_network import Negotiation
 from sato.reconfiguration.agent_stages import Exchange
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.mission import Reconfiguration
-from sato.scenario.errors import InputError
 from sato.scenario.file import parse
-
-PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
-
-
-def run_vehicle(port: int, number: int) -> None:
-    """Run the process of one vehicle, until the world is gone.
-
-    Args:
-        port: Port at which the world listens.
-        number: Number of the vehicle.
-
-    Raises:
-        InputError: There is no world, or the vehicle is there already.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the world, which ends all others
-    connection = Connection(port, number)
-    if connection.is_taken:
-        raise InputError("", f"the process of vehicle {number} is there already")
-    connection.watch(WORLD, lambda _: os._exit(0))
-    with threadpool_limits(1, user_api="blas"):
-        vehicle = Vehicle(number, _hear_mission(connection, number))
-        while True:
-            received = connection.receive(timeout=None)
-            if received is None:
-                continue
-            try:
-                connection.send(WORLD, vehicle.act(received[1]))
-            except Exception as error:  # the world ends the flight, and tells the reason
-                connection.send(WORLD, Fault(type(error).__name__, str(error)))
-
-
-def _hear_mission(connection: Connection, number: int) -> Briefing:
-    """Say that the vehicle is there, until the world answers."""
-    while True:
-        connection.send(WORLD, Hearing(number, os.getpid()))
-        until = time.monotonic() + PATIENCE
-        while time.monotonic() < until:
-            received = connection.receive(timeout=PATIENCE)
-            if received is not None and isinstance(received[1], Briefing):
-                return received[1]
 
 
 class Vehicle:
-    """One vehicle: an agent, and what of its memory goes into the record."""
+    """One vehicle: its agent, its mission, and the leg that it flies."""
 
     def __init__(self, number: int, briefing: Briefing) -> None:
+        """Begin, with a mission as text."""
         mission: Any = parse(briefing.scenario)
         mission = mission.draw(np.random.default_rng(briefing.seed))
         self.mission: Reconfiguration = mission
@@ -75,45 +30,68 @@ class Vehicle:
         else:
             own_leg = {"leg_start": briefing.leg_start, "leg": mission.legs[briefing.leg]}
             self.agent = Agent(mission, number, **own_leg)
-        self._before, self._calls, self._solves = self.agent.memory, False, 0
+        self._is_leg_over, self._calls, self._solves = False, False, 0
+        self._ended: Negotiation | None = None  # at the last instant
 
-    def act(self, call: Call) -> Reply:
-        """Act in one round of messages."""
-        agent = self.agent
-        while self.leg < call.leg:
+    def begin_leg(self, number: int) -> None:
+        """Take up the targets of the legs up to one."""
+        while self.leg < number:
             self.leg += 1
             leg = self.mission.legs[self.leg]
-            agent.set_targets(leg.shape, leg.steps, recount=leg.recount, choose=leg.choose)
-            self._before = agent.memory
-        if call.begins:
-            repeats = agent.memory.instant == round(call.time / self.mission.step)
-            agent.memory = self._before = self._before if repeats else agent.memory
-            _, message = agent.step(call.time, call.state, (), call.seen)
-            self._calls, self._solves = _has_called(agent), 0
-        else:
-            inbox = [decode(packet) for packet in call.inbox]
-            _, message = agent.step(call.time, call.state, inbox)
-        self._solves = max(self._solves, _count_solves(agent))
-        status = self._report() if agent.is_finished else None
-        return Reply(call.serial, encode(message), status)
+            self.agent.set_targets(leg.shape, leg.steps, recount=leg.recount, choose=leg.choose)
 
-    def _report(self) -> Status:
+    def begin(self, measured: Measured, inbox: list[Any]) -> Any:
+        """Begin a control instant; return the packet to others."""
+        negotiation = self.agent.memory.negotiation
+        self._ended, self._calls, self._solves = None, False, 0
+        time = measured.instant * self.mission.step
+        _, packet = self.agent.step(time, measured.state, inbox, measured.seen)
+        if negotiation is not None and begun_at(self.agent) != negotiation.agent.instant:
+            self._ended = negotiation
+        if not self.mission.lag_steps:
+            self._calls = _has_called(self.agent)
+        return packet
+
+    def act(self, measured: Measured, inbox: list[Any]) -> Any:
+        """Act in a round after the first of an instant; return the packet to others."""
+        time = measured.instant * self.mission.step
+        _, packet = self.agent.step(time, measured.state, inbox)
+        self._solves = max(self._solves, _count_solves(self.agent))
+        if self.mission.lag_steps and self.agent.is_leg_over:
+            self._is_leg_over = self.leg == len(self.mission.legs) - 1
+            self.begin_leg(min(self.leg + 1, len(self.mission.legs) - 1))
+        return packet
+
+    def report(self) -> Status:
+        """Report for the record."""
         flown, i = self.agent.memory, self.number
-        decision, plan = flown.last_decision, flown.plans.get(self.number)
-        assert decision is not None and flown.control is not None
+        decision, plan = flown.last_decision, flown.plans.get(i)
+        assert flown.control is not None
+        has_ended, decides = True, decision is not None and decision.stage_index > 0
+        if self.mission.lag_steps:
+            has_ended = self._ended is not None
+            decides = self._ended is not None and self._ended.commits
         return Status(
+            leg=self.leg,
+            is_leg_over=self._is_leg_over,
             control=flown.control,
             commitment=flown.committed.get(i),
             target_index=int(flown.memory.target_index[i]),
             target_count=int(flown.memory.target_count[i]),
             clock=int(flown.memory.clock[i]),
             has_plan=plan is not None and plan.target_index is not None,
-            decides=decision.stage_index > 0,
+            decides=decides,
             calls=self._calls,
             solves=self._solves,
-            blocked=decision.blocked,
-            events=decision.events,
+            blocked=() if decision is None else decision.blocked,
+            events=flown.events if has_ended else (),
         )
+
+
+def begun_at(agent: Agent) -> int | None:
+    """Return the instant at which the decision began that is under way over a network."""
+    negotiation = agent.memory.negotiation
+    return None if negotiation is None else negotiation.agent.instant
 
 
 def _has_called(agent: Agent) -> bool:
@@ -126,6 +104,5 @@ def _has_called(agent: Agent) -> bool:
 
 def _count_solves(agent: Agent) -> int:
     """Count the programs that an agent has solved to plan among others, while it does so."""
-    decision = agent.memory.last_decision
-    stage = decision and decision.stage
+    stage = agent.memory.last_decision and agent.memory.last_decision.stage
     return stage.planner.solve_count if isinstance(stage, Bending | Meeting | Exchange) else 0

@@ -4,6 +4,7 @@ In each vehicle's place it knows what that reports for the record. Of this, the 
 controls that are held, and what is committed to where a vehicle joins.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,8 +17,9 @@ from sato.obstacles import Obstacle, Polytope
 from sato.processes.messages import Status
 from sato.reconfiguration.disturbances import disturb_control, draw_losses
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
+from sato.reconfiguration.leg import MAX_LEG_FACTOR
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.state import Event, ReconfigurationFrame
+from sato.reconfiguration.state import Event, ReconfigurationFrame, begin_memory
 from sato.reconfiguration.stopping import Commitments, controls_at
 from sato.reconfiguration.surroundings import Sensed, find_surroundings
 
@@ -36,8 +38,9 @@ class World:
         self.lost: set[int] = set()  # vehicles that have been lost
         self.status: dict[int, Status] = {}  # last report of each that is there
         self.new_reports: set[int] = set()  # vehicles that have reported at this instant
-        none = np.full(len(self.x), -1)
-        self.target_index, self.target_count = none, np.full(len(self.x), 1)
+        believed = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)
+        begun = begin_memory(mission, mission.legs[0], believed)
+        self.target_index, self.target_count = begun.target_index, begun.target_count.copy()
         self.left_out: set[int] = set()  # targets that some know to be blocked
         self.events: list[Event] = []  # since the last frame
 
@@ -72,8 +75,11 @@ class World:
         self.target_index = np.full(len(self.x), -1)
         self.note("leg_start", self.live, leg=number)
 
-    def end_leg(self, is_given_up: bool) -> None:
-        """Note the end of a leg."""
+    def end_leg(self) -> bool:
+        """End the leg if it is over; return True if so."""
+        is_given_up = self.leg_step == MAX_LEG_FACTOR * self.mission.legs[self.leg_index].steps
+        if not (is_given_up or (self.leg_step > 0 and self._is_leg_over())):
+            return False
         if is_given_up:
             self.note("infeasible", self.live, what="the leg is given up: it took too many steps")
         waiting = [i for i in self.waiting if i not in self.restarted]
@@ -83,12 +89,19 @@ class World:
         component = self.connect().component.tolist()
         ended = {"target": held, "believed": counts, "component": component}
         self.note("leg_end", self.live, leg=self.leg_index, **ended)
+        return True
 
-    def have_arrived(self) -> bool:
-        """Tell whether all vehicles have arrived at the end of the last step, and none is to come.
+    def _is_leg_over(self) -> bool:
+        """Tell whether all have arrived; over a network, whether they know it of each other."""
+        each = [self.status[i] for i in self.live if i in self.status]
+        if not self.mission.lag_steps:
+            return self._have_arrived()
+        is_between = self.leg_step % self.mission.lag_steps
+        is_over = all(own.is_leg_over or own.leg > self.leg_index for own in each)
+        return not is_between and len(each) == len(self.live) and is_over
 
-        Vehicles whose last plans are not clear may not be where their clocks have them.
-        """
+    def _have_arrived(self) -> bool:
+        # Vehicles whose last plans are not clear may not be where their clocks have them.
         steps, reports = self.mission.legs[self.leg_index].steps, self.status
         is_due = any(at > self.leg_step for _, at in self.mission.joining(self.leg_index))
         if is_due or not all(i in reports for i in self.live):
@@ -112,6 +125,8 @@ class World:
         if mission.lag_steps and k % mission.replan_steps:
             return []
         joined = self._traffic.admit(self.waiting)
+        alone = begin_memory(mission, mission.legs[self.leg_index], np.ones_like(self.target_count))
+        self.target_count[joined] = alone.target_count[joined]
         self.alive = self.alive | np.isin(np.arange(len(self.x)), joined)
         again = [i for i in joined if i in self.restarted]
         waits = [i for i in self.waiting if mission.waits[i] or i in self.restarted]
@@ -119,10 +134,11 @@ class World:
         self.waiting = [i for i in waits if not self.alive[i]]
         self.restarted.difference_update(again)
         first = [i for i in joined if i not in again]
-        changes: Any = (("join", first, {}), ("join", again, {"cause": "process"}))
-        for kind, those, more in (*changes, ("refused", refused, {})):
+        for kind, those in (("join", first), ("refused", refused)):
             if those:
-                self.note(kind, those, **more)
+                self.note(kind, those)
+        if again:
+            self.note("join", again, cause="process")
         return joined
 
     def apply_losses(self) -> list[int]:
@@ -168,8 +184,21 @@ class World:
         self.restarted.add(agent)
         self.waiting.append(agent)
 
-    def look_around(self) -> dict[int, tuple[Sensed, ...]]:
-        """Return what each vehicle has seen so far and its mission does not list, as it is now."""
+    def look_around(self, silent: Sequence[int] = ()) -> dict[int, tuple[Sensed, ...]]:
+        """Return what each vehicle has seen so far and its mission does not list, as it is now.
+
+        Args:
+            silent: Vehicles that are there and say nothing, which others see where they are near.
+        """
+        seen, d = self._look_at_bodies(), self.mission.axes
+        for j in silent:
+            away = np.linalg.norm(self.x[:, :d] - self.x[j, :d], axis=1)
+            for i in np.flatnonzero(self.alive & (away <= self.mission.sight)).tolist():
+                if i != j:
+                    seen[i] = (*seen.get(i, ()), (j, self.x[j]))
+        return seen
+
+    def _look_at_bodies(self) -> dict[int, tuple[Sensed, ...]]:
         if self.surroundings is None:
             return {}
         around = self.surroundings = self.surroundings.seen_from(self.mission, self.x)
@@ -183,21 +212,24 @@ class World:
             for i in self.live
         }
 
-    def take_reports(self, reports: dict[int, Status]) -> Float[Array, "agents d"]:
+    def take_reports(
+        self, reports: dict[int, Status], late: Collection[int] = ()
+    ) -> Float[Array, "agents d"]:
         """Take in what vehicles report at an instant, and return the controls that they hold.
 
-        One that does not report flies what it has committed to.
+        Those that do not report, or too late, fly what they have committed to.
         """
         before, self.new_reports = self.target_index, set(reports)
         held = self.alive & np.isin(np.arange(len(self.x)), list(self.committed))
         control = controls_at(self.committed, self.step_index, held, self.mission)
-        self.status = self.status | reports
+        self.status |= reports
         self.target_index = np.where(self.alive, before, -1)
         for i, own in reports.items():
-            control[i], self.target_index[i] = own.control, own.target_index
-            self.target_count[i] = own.target_count
-            if own.commitment is not None:
-                self.committed[i] = own.commitment
+            self.target_index[i], self.target_count[i] = own.target_index, own.target_count
+            if i not in late:
+                control[i] = own.control
+                if own.commitment is not None:
+                    self.committed[i] = own.commitment
         self._note_decisions(reports, self.alive & (self.target_index != before))
         return control
 
@@ -281,7 +313,7 @@ def merge_events(events: list[Event]) -> list[Event]:
     for event in events:
         rest = repr({name: value for name, value in event.items() if name != "agents"})
         agents = found[rest]["agents"] if rest in found else []
-        found[rest] = event | {"agents": sorted([*agents, *event["agents"]])}
+        found[rest] = event | {"agents": sorted({*agents, *event["agents"]})}
     return list(found.values())
 
 

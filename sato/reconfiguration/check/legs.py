@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.check.report import Promise, expect_none
@@ -74,7 +74,8 @@ def check_blocked(record: ReconfigurationRecord) -> Promise:
     for k, event in record.events.of_kind("blocked"):
         leg = int(record.leg_index[k])
         places = record.targets[leg, np.asarray(event["targets"], dtype=int), :d]
-        lost, away = record.state[k, record.is_adrift[k]], np.full(len(places), np.inf)
+        lost = np.concatenate([record.state[k, record.is_adrift[k]], *_list_silent(record, k)])
+        away = np.full(len(places), np.inf)
         for step in range(mission.legs[leg].steps + escape + 1):
             time = step * mission.step
             at = lost[:, :d] + time * lost[:, d:]
@@ -87,6 +88,12 @@ def check_blocked(record: ReconfigurationRecord) -> Promise:
         is_near = away <= radius if mission.is_point_mass else np.isfinite(away)
         wrong += int((~is_near).sum())
     return expect_none("blocked", wrong, "targets left out that nothing blocked")
+
+
+def _list_silent(record: ReconfigurationRecord, until: int) -> list[Float[Array, "each n"]]:
+    # States in which others saw vehicles that said nothing, as their processes were paused.
+    events = record.events.of_kind("silent")
+    return [record.state[k, np.asarray(e["agents"], dtype=int)] for k, e in events if k <= until]
 
 
 def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:

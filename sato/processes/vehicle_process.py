@@ -1,0 +1,90 @@
+"""Process of one vehicle: its state and its memory, and messages to and from others."""
+
+import os
+import signal
+import time
+from functools import partial
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from sato.processes.codec import decode, encode
+from sato.processes.free_vehicle import FreeVehicle
+from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply
+from sato.processes.network import WORLD, Connection
+from sato.processes.vehicle import Vehicle
+from sato.scenario.errors import InputError
+
+PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
+
+
+def run_vehicle(port: int, number: int) -> None:
+    """Run the process of one vehicle, until the world is gone.
+
+    Args:
+        port: Port at which the world listens.
+        number: Number of the vehicle.
+
+    Raises:
+        InputError: There is no world, or the vehicle is there already.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the world, which ends all others
+    connection = Connection(port, number)
+    if connection.is_taken:
+        raise InputError("", f"the process of vehicle {number} is there already")
+    connection.watch(WORLD, lambda _: os._exit(0))
+    with threadpool_limits(1, user_api="blas"):
+        try:
+            briefing = _hear_mission(connection, number)
+            vehicle = Vehicle(number, briefing)
+            if briefing.tick:
+                send = partial(connection.send, WORLD)
+                FreeVehicle(vehicle, send, briefing.tick).run(connection.receive)
+            LockStepVehicle(vehicle, connection).run()
+        except Exception as error:  # the world ends the flight, and tells the reason
+            connection.send(WORLD, Fault(type(error).__name__, str(error)))
+            while True:
+                connection.receive(timeout=None)
+
+
+def _hear_mission(connection: Connection, number: int) -> Briefing:
+    """Say that the vehicle is there, until the world answers."""
+    while True:
+        connection.send(WORLD, Hearing(number, os.getpid()))
+        until = time.monotonic() + PATIENCE
+        while time.monotonic() < until:
+            received = connection.receive(timeout=PATIENCE)
+            if received is not None and isinstance(received[1], Briefing):
+                return received[1]
+
+
+class LockStepVehicle:
+    """Vehicle that acts when it is called."""
+
+    def __init__(self, vehicle: Vehicle, connection: Connection) -> None:
+        """Begin."""
+        self.vehicle, self.connection = vehicle, connection
+        self._before: Any = vehicle.agent.memory
+
+    def run(self) -> None:
+        """Act in every round of the network."""
+        while True:
+            received = self.connection.receive(timeout=None)
+            if received is not None and isinstance(received[1], Call):
+                self.connection.send(WORLD, self._act(received[1]))
+
+    def _act(self, call: Call) -> Reply:
+        vehicle, agent = self.vehicle, self.vehicle.agent
+        inbox = [decode(packet) for packet in call.inbox]
+        if call.begins:
+            if agent.memory.instant == call.measured.instant:  # once more
+                agent.memory = self._before
+            if not vehicle.mission.lag_steps:  # the end of a leg is agreed on otherwise
+                vehicle.begin_leg(call.leg)
+            self._before = agent.memory
+            packet = vehicle.begin(call.measured, inbox)
+        else:
+            packet = vehicle.act(call.measured, inbox)
+        has_decided = agent.is_finished or vehicle.mission.lag_steps > 0
+        status = vehicle.report() if has_decided else None
+        return Reply(call.serial, None if packet is None else encode(packet), status)
