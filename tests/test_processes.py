@@ -79,9 +79,13 @@ def assert_same(frames, expected):
         np.testing.assert_allclose(frame.position, other.position, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("link", [(), ("link.loss=0.1", "link.late=2")], ids=["ideal", "lossy"])
+LOSSY = "link.loss=0.1", "link.late=2"
+TIMED = "link.loss=0.05", "link.round_s=0.02", "swarm.comm_radius_m=20", "leg.0.steps=40"
+
+
+@pytest.mark.parametrize("link", [(), LOSSY, TIMED], ids=["ideal", "lossy", "timed"])
 def test_processes_in_lock_step_fly_as_the_simulation(link):
-    mission = eventful(*link)
+    mission = eventful(*link) if link != TIMED else four(*link)
     with flight(mission) as (_, processes):
         frames = list(processes.fly())
     assert_same(frames, simulated(mission))
