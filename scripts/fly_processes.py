@@ -1,4 +1,4 @@
-"""Fly eight vehicles as processes, in both modes, and print the table of docs/howto-processes.md.
+"""Fly eight vehicles as processes, in both modes, and print a table of each.
 
     python scripts/fly_processes.py [--seeds 20] [--speed 1] [ROW …]
 

@@ -20,6 +20,7 @@ from sato.processes.lock_step import LockStep
 from sato.processes.messages import Call, Measured
 from sato.processes.world import World, move
 from sato.reconfiguration.check.promises import check_run
+from sato.reconfiguration.first_commitment import Traffic
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.system import SYSTEM
 from sato.record import collect_run_data
@@ -113,7 +114,7 @@ def test_kill_in_the_middle_of_a_decision_is_a_loss_at_its_instant():
     assert check(mission, frames).kept
 
 
-def test_vehicle_whose_process_is_started_again_joins():
+def test_vehicle_whose_process_is_started_again_joins_once_there_is_room(monkeypatch):
     mission = four()
     with flight(mission) as (fleet, processes):
         frames = []
@@ -123,8 +124,11 @@ def test_vehicle_whose_process_is_started_again_joins():
                 kill(fleet, 2)
             elif k == 6:
                 fleet.start([2])
+                monkeypatch.setattr(Traffic, "has_room", lambda *_: False)
+            elif k == 8:
+                monkeypatch.undo()
     alive = np.array([frame.alive[2] for frame in frames])
-    assert not alive[4:7].any() and alive[:4].all() and alive[7:].all()
+    assert not alive[4:9].any() and alive[:4].all() and alive[9:].all()
     assert check(mission, frames).kept
 
 

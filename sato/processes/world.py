@@ -114,8 +114,14 @@ class World:
 
     @property
     def _traffic(self) -> Traffic:
-        own = self.x, self.alive, self.committed, self.step_index, self.surroundings
-        return Traffic(self.mission, *own)
+        own = self.alive, self.committed, self.step_index, self.surroundings
+        return Traffic(self.mission, self._states_to_join, *own)
+
+    @property
+    def _states_to_join(self) -> Float[Array, "agents n"]:
+        """States of all; of those whose processes were started again, that at the start."""
+        again = np.isin(np.arange(len(self.x)), list(self.restarted))
+        return np.where(again[:, None], self.mission.initial_states, self.x)
 
     def admit_joins(self) -> list[int]:
         """Return the vehicles that join now: over a network, when others decide."""
@@ -125,6 +131,8 @@ class World:
         if mission.lag_steps and k % mission.replan_steps:
             return []
         joined = self._traffic.admit(self.waiting)
+        enters = np.isin(np.arange(len(self.x)), joined)
+        self.x = np.where(enters[:, None], self._states_to_join, self.x)
         alone = begin_memory(mission, mission.legs[self.leg_index], np.ones_like(self.target_count))
         self.target_count[joined] = alone.target_count[joined]
         self.alive = self.alive | np.isin(np.arange(len(self.x)), joined)
@@ -179,8 +187,6 @@ class World:
         is_lost = agent < len(self.x) and not self.alive[agent]
         if not is_lost or agent in self.waiting or agent not in self.lost:
             return
-        self.x = self.x.copy()
-        self.x[agent] = self.mission.initial_states[agent]
         self.restarted.add(agent)
         self.waiting.append(agent)
 
