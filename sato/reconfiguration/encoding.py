@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from sato.auctions.bidder import WinningBids
 from sato.network import encoding
 from sato.network.encoding import REAL
 from sato.network.flooding import CensusMessage, Reports
@@ -53,8 +52,9 @@ def measure(previous: Any, now: Any) -> int:
     if isinstance(now, CensusMessage):
         return _measure_census(previous or CensusMessage(NOTHING), now)
     if isinstance(now, BiddingMessage):
-        empty = BiddingMessage(WinningBids.empty(len(now.bids.price)), NOTHING)
-        return _measure_bids(previous if isinstance(previous, BiddingMessage) else empty, now)
+        # All know with which prices an auction opens, which is what the first message says.
+        is_first = not isinstance(previous, BiddingMessage)
+        return _measure_bids(now._replace(reports=NOTHING) if is_first else previous, now)
     if isinstance(now, BendingMessage):
         return _measure_bending(previous, now)
     if isinstance(now, TrajectoryMessage):
