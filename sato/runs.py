@@ -182,7 +182,7 @@ def run(
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
         port: Port of the loopback interface by which processes talk; any that is free by default.
-        speed: Times as fast as by the clock that processes fly which run freely.
+        speed: Factor by which processes that run freely are faster than the clock.
 
     Raises:
         ValueError: The scenario cannot be flown; nothing was.

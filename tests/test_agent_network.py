@@ -109,7 +109,7 @@ def test_losses_change_nothing_where_rounds_take_no_time(rng):
         x = mission.flown_plant.propagate(x, control, 0.0, mission.step)[1]
 
 
-def test_agent_that_missed_the_end_of_a_leg_begins_the_next_with_the_others(rng):
+def test_agent_that_missed_the_end_of_a_leg_begins_the_next_with_others(rng):
     legs = [sato.Leg(listed(spread(rng, 3)), 12), sato.Leg(listed(spread(rng, 3)), 12)]
     flight = NetworkFlight(make(spread(rng, 3), *legs))
 

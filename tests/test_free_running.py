@@ -113,7 +113,7 @@ def test_vehicle_gives_a_decision_up_that_it_began_without_what_it_sees():
     assert not kind_of(sent, Intention)
 
 
-def test_vehicle_gives_a_decision_up_where_it_hears_one_that_does_not_hear_it():
+def test_vehicle_gives_up_where_it_hears_one_that_does_not_hear_it():
     vehicle, sent = alone()
     vehicle._take_in(Measured(0, REST, ()))
     act(vehicle, 3)

@@ -89,7 +89,7 @@ def test_what_is_suggested_for_too_few_rounds_would_do(keys):
         draw(**keys | {key: value})
 
 
-def test_a_synchronous_round_takes_a_round_of_a_perfect_link_and_more_of_others():
+def test_a_synchronous_round_takes_one_of_a_perfect_link_more_of_others():
     assert measure_round(Link(round=1.0), complete(5)) == 1.0
     lossy = Link(round=1.0, loss_probability=0.5)
     # Neither of two waits less than for its own message, which is heard after 2 rounds on average.
@@ -118,7 +118,7 @@ def test_no_decision_of_two_takes_fewer_rounds_than_the_least(given, monkeypatch
     assert len(taken) >= 1 and min(taken) >= link_feasibility.least_rounds(mission)
 
 
-def test_warnings_say_where_a_link_slows_down_has_no_effect_or_leaves_little_time():
+def test_warnings_say_where_a_link_slows_down_or_leaves_little_time():
     (none,) = draw(**{"link.loss": 0.2}).warnings()
     assert none.startswith("messages that are lost or late change nothing")
     mission = draw("random", **{"link.round_s": 0.01, "link.loss": 0.2})

@@ -37,7 +37,7 @@ TYPES = """
     sato.processes.messages:Held
     sato.processes.messages:Intention
     sato.processes.messages:Measured
-    sato.processes.messages:Packet
+    sato.processes.messages:FreePacket
     sato.processes.messages:Reply
     sato.processes.messages:Status
     sato.reconfiguration.agent_inputs:AgentMessage

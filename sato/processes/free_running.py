@@ -12,7 +12,7 @@ from sato.network.channel import Outages
 from sato.processes.codec import encode
 from sato.processes.fleet import Fleet
 from sato.processes.free_vehicle import HEARTBEAT
-from sato.processes.messages import Consent, Held, Intention, Measured, Packet, Status
+from sato.processes.messages import Consent, FreePacket, Held, Intention, Measured, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
 from sato.reconfiguration.agent_network import stop_at_once
@@ -111,7 +111,7 @@ class FreeRunning:
         world = self.world
         if not world.alive[number]:
             return
-        if isinstance(value, Packet) and value.until > world.step_index:
+        if isinstance(value, FreePacket) and value.until > world.step_index:
             self._air.send(number, value)
         elif isinstance(value, Held):
             if value.instant == world.step_index:
@@ -137,7 +137,7 @@ class _Air:
         self._late: list[tuple[float, int, int, int, bytes]] = []  # by time
         self._sent = 0
 
-    def send(self, sender: int, packet: Packet) -> None:
+    def send(self, sender: int, packet: FreePacket) -> None:
         """Send a packet to all within hearing."""
         link, now, data = self.world.mission.link, monotonic(), encode(packet)
         self._draw_outages(now)

@@ -12,7 +12,7 @@ from typing import Any
 
 from sato.network.channel import NEVER
 from sato.processes.codec import decode, encode
-from sato.processes.messages import Alive, Consent, Held, Intention, Measured, Packet
+from sato.processes.messages import Alive, Consent, FreePacket, Held, Intention, Measured
 from sato.processes.vehicle import Vehicle, begun_at
 
 HEARTBEAT = 0.1  # longest time between two signs of life [s]
@@ -39,7 +39,7 @@ class FreeVehicle:
         self._listens_until = 0.0  # time at which it knows its neighbors [s]
         self._rounds: dict[int, int] = {}  # last in which each neighbor has acted
         self._version: Any = None  # of the packet, which is sent again until it changes
-        self._packet: Packet
+        self._packet: FreePacket
         self._age = 0  # ticks since it changed; it is sent again after 1, 2, 4 …
         self._sent = 0.0  # time at which anything was sent [s]
         self._asked: int | None = None  # instant from which on it intends to fly what is new
@@ -67,7 +67,7 @@ class FreeVehicle:
         self.send(value)
 
     def _take_in(self, value: Any) -> None:
-        if isinstance(value, Packet):
+        if isinstance(value, FreePacket):
             if value.until == self._until:
                 self._hear(value)
         elif isinstance(value, Consent):
@@ -75,7 +75,7 @@ class FreeVehicle:
         elif isinstance(value, Measured):
             self._begin(value)
 
-    def _hear(self, packet: Packet) -> None:
+    def _hear(self, packet: FreePacket) -> None:
         own, number = self._decides_with, self.vehicle.number
         is_unheard = packet.neighbors is not None and number not in packet.neighbors
         if is_unheard or (own is not None and packet.sender not in own):
@@ -161,7 +161,7 @@ class FreeVehicle:
         version = *head, packet.commits
         self._age += 1
         if version != self._version:
-            self._version, self._packet, self._age = version, Packet(*head, encode(packet)), 0
+            self._version, self._packet, self._age = version, FreePacket(*head, encode(packet)), 0
         is_listening, is_power = own[0] is None, self._age & (self._age - 1) == 0
         if is_listening or is_power or monotonic() > self._sent + HEARTBEAT:
             self._send(self._packet)

@@ -31,7 +31,7 @@ class Briefing(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What a vehicle measures and sees at a control instant."""
+    """State and surroundings that a vehicle measures at a control instant."""
 
     instant: int  # steps since the start of the mission
     state: Float[Array, " n"]
@@ -79,7 +79,7 @@ class Reply(NamedTuple):
     status: Status | None
 
 
-class Packet(NamedTuple):
+class FreePacket(NamedTuple):
     """Packet to or from others within hearing, when vehicles run freely."""
 
     sender: int

@@ -193,7 +193,7 @@ class OfferMessage(NamedTuple):
 
     @property
     def kept(self) -> CommittedMessage:
-        """What the sender may go on flying."""
+        """Committed trajectory that the sender may go on flying."""
         path = self.path if self.held is None else self.held
         return CommittedMessage(path, self.clearance, self.step_count)
 
@@ -221,7 +221,7 @@ class Choosing(NamedTuple):
 
     @property
     def kept_below(self) -> tuple[CommittedMessage, ...]:
-        """What neighbors of lower priority may go on flying."""
+        """Committed trajectories that neighbors of lower priority may go on flying."""
         below = (other for other in self.neighbors if other.priority > self.priority)
         return tuple(other.kept for other in below) if self.is_confirmed else ()
 

@@ -25,7 +25,7 @@ from sato.reconfiguration.stopping import Commitments
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What agents have decided."""
+    """Decision of the agents of some networks: what those that get through take up."""
 
     agents: Bool[Array, " agents"]  # that have decided
     memory: AgentMemory
@@ -93,7 +93,7 @@ class Negotiations:
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """How decisions ended."""
+    """Ends of the decisions of an instant."""
 
     through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
     has_heard: Bool[Array, " agents"]  # of all in its component; true for those that were lost
