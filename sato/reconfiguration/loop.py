@@ -104,11 +104,13 @@ class _Flight:
         self.believed = state.update_believed(mission, self.believed, self.memory, flown, recount)
         self.memory, self.plans = state.begin_memory(mission, self.leg, self.believed), {}
         self.left_out: set[int] = set()  # targets that some agents know to be blocked
+        self.pending = None
         self._note("leg_start", self.alive, leg=number)
         for k in range(MAX_LEG_FACTOR * steps + 1):
+            is_known = self._end_decisions(k)
             joined = self._admit_joins(k)
             self._apply_losses(k)
-            if self._is_leg_over(k):
+            if not joined and is_known and (mission.lag_steps or self._have_arrived(k).all()):
                 break
             if k == MAX_LEG_FACTOR * steps:
                 what = f"the leg is given up after {MAX_LEG_FACTOR} times its steps"
@@ -149,12 +151,6 @@ class _Flight:
         held, believed = memory.target_index.tolist(), memory.target_count.tolist()
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
-
-    def _is_leg_over(self, k: int) -> bool:
-        """Tell whether all have arrived; over a network, whether they know it of each other."""
-        if self.mission.lag_steps:
-            return self._end_decisions(k)
-        return k > 0 and bool(self._have_arrived(k).all())
 
     def _look_around(self) -> list[int]:
         """Let agents see what is near; return those that see something new."""
@@ -360,8 +356,17 @@ class _Flight:
         return np.asarray(has_plan | (self.memory.clock > 0) | (self.mission.lag_steps == 0))
 
     def _end_decisions(self, k: int) -> bool:
-        """Let agents that got through take up what they decided; tell whether the leg is over."""
+        """Let agents that got through take up what they decided.
+
+        Those that join later have to be clear of that.
+
+        Returns:
+            True where all know that all have arrived, if they have: over a network that takes time,
+            they know it of each other; else from the first step on.
+        """
         mission, pending = self.mission, self.pending
+        if not mission.lag_steps:
+            return k > 0
         if pending is None or k % mission.replan_steps:
             return False
         self.pending, stops = None, np.full(len(self.x), NEVER)
