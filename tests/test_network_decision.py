@@ -166,7 +166,7 @@ def test_all_arrive_though_all_stop_as_none_gets_through_a_decision(missed, monk
 def test_vehicle_joins_clear_of_what_others_take_up_when_it_joins():
     # At step 2 the first begins to fly over the place at which the second is to join.
     join = sato.Join(1, np.array([[0.75, 0.0]]), at_step=2)
-    leg = sato.Leg(np.array([[8.0, 0.0], [4.0, 4.0]]), 60, joins=(join,))
+    leg = sato.Leg(np.array([[8.0, 0.0], [0.75, 12.0]]), 60, joins=(join,))
     start = np.array([[0.0, 0.0]])
     mission = make_mission(start, leg, comm_radius=40.0, link=Link(round=0.001))
     frames = fly(mission)
