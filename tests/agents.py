@@ -110,7 +110,7 @@ class NetworkFlight:
         self.link_rng = np.random.default_rng(seed).spawn(1)[0]
         delay = self.link_rng.uniform(0.0, mission.link.skew, len(self.x))
         self.enters = mission.link.count_rounds(delay)
-        self.rounds = int(mission.link.count_rounds(mission.lag_steps * mission.step))
+        self.rounds = mission.decision_rounds
         stops = find_first_commitments(mission)
         live = np.flatnonzero(self.alive).tolist()
         self.agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}

@@ -1,6 +1,7 @@
 """Decisions over a network that takes time: what is taken up is safe, whoever gets through."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,8 +13,9 @@ from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
 from sato.network.link import Link
 from sato.network.synchronizer import Synchronizer
-from sato.reconfiguration import network_decision
+from sato.reconfiguration import commitment, network_decision
 from sato.reconfiguration.check.recorded import delay_rows
+from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.network_decision import confirm
 
 FAULTS = Link(loss_probability=0.2, late=3, outage=0.005, outage_share=0.2, round=0.001)
@@ -172,3 +174,32 @@ def test_vehicle_joins_clear_of_what_others_take_up_when_it_joins():
     frames = fly(mission)
     assert continuous_separation(mission, frames) >= 1 - 1e-9
     assert frames[-1].alive.all()
+
+
+def test_vehicles_that_start_nearer_than_the_margin_part():
+    start = np.array([[0.0, 0.0], [0.505, 0.0]])
+    leg = sato.Leg(np.array([[-4.0, 0.0], [4.5, 0.0]]), 40)
+    mission = make_mission(start, leg, comm_radius=40.0, margin=0.1, link=Link(round=0.001))
+    frames = fly(mission)
+    assert len(frames) == 40 + 2 * mission.replan_steps + 1
+    assert continuous_separation(mission, frames) >= 1 - 1e-9
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_vehicle_waits_for_the_promise_of_one_that_is_in_its_way(monkeypatch, waits):
+    # The second makes way for the first, but gets through no decision.
+    start, goal = np.array([[0.0, 0.0], [1.2, 0.0]]), np.array([[4.0, 0.0], [1.2, 6.0]])
+    leg = sato.Leg(sato.Points(goal, keep_order=True), 40)
+    options = {"assignment": "given", "priority": (0.0, 1.0), "comm_radius": 40.0}
+    mission = make_mission(start, leg, link=Link(round=0.001), **options)
+    advance = Synchronizer.advance
+
+    def miss(self, entered, rounds):
+        return np.where([False, rounds.max() > 10], NEVER, advance(self, entered, rounds))
+
+    monkeypatch.setattr(Synchronizer, "advance", miss)
+    if not waits:
+        none = np.zeros(0, dtype=int)
+        monkeypatch.setattr(commitment, "find_waits", lambda *_: (none, none))
+    frames = list(islice(simulate(mission, np.random.default_rng(0)), 40))
+    assert (continuous_separation(mission, frames) >= 1 - 1e-9) == waits

@@ -49,7 +49,6 @@ from sato.reconfiguration.agent_stages import (
     Holding,
     Turns,
     extend,
-    keeps_clear,
 )
 from sato.reconfiguration.auction_opening import (
     count_targets,
@@ -306,9 +305,12 @@ class Decision(NamedTuple):
         assert self.choosing is not None
         if not self.choosing.is_confirmed:
             return frozenset()
-        path, kept = turns.path, turns.clearance
-        near = self.choosing.neighbors
-        return frozenset(other.agent for other in near if not keeps_clear(path, kept, other.kept))
+        own = self.choosing
+        return frozenset(
+            other.agent
+            for other in own.neighbors
+            if not own.keeps_clear_of_held(other.kept, turns.path)
+        )
 
     def _enter(self, stage: Any, **changes: Any) -> "Decision":
         return self._replace(stage=stage, stage_index=self.stage_index + 1, **changes)

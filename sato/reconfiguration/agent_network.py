@@ -38,7 +38,7 @@ class Negotiation(NamedTuple):
         """Begin, in round 0 of the network."""
         link, last = mission.link, NEVER
         if mission.lag_steps:
-            last = int(link.count_rounds(mission.lag_steps * mission.step)) - 1
+            last = mission.decision_rounds - 1
         rounds = link.discovery_rounds, last
         return cls(SynchronousAgent(decision.number, instant, decision, *rounds))
 

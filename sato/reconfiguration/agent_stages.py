@@ -7,12 +7,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.trajectory_geometry import hull_distance
 from problems.convexify import AvoidanceHorizon
 from problems.path_separation import are_hulls_separated
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment, target_costs
 from sato.reconfiguration.commitment import improve, next_choice
+from sato.reconfiguration.evasion import ROUNDING
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.orbital_evasion import Detours, offer_detour
@@ -225,6 +227,22 @@ class Choosing(NamedTuple):
         below = (other for other in self.neighbors if other.priority > self.priority)
         return tuple(other.kept for other in below) if self.is_confirmed else ()
 
+    def keeps_clear_of_held(
+        self, other: CommittedMessage, path: Float[Array, "pieces 4 d"] | None = None
+    ) -> bool:
+        """Return True where its choice, or a path, is clear of what another may go on flying.
+
+        Or as far from it as what it has committed to itself.
+        """
+        clearance, held = float(self.offers.clearance[0]), self.offers.paths[0, self.offers.last]
+        path = self.offers.paths[0, self.choice] if path is None else path
+        if keeps_clear(held, clearance, other):
+            return keeps_clear(path, clearance, other)
+        pieces = max(len(held), len(other.path))
+        apart = hull_distance(extend(held, pieces) - extend(other.path, pieces))[0].min()
+        kept = min((clearance + other.clearance) / 2, float(apart) * (1 - ROUNDING))
+        return keeps_clear(path, kept, other._replace(clearance=kept))
+
     @property
     def is_finished(self) -> bool:
         """True once all agents know that none changed its choice; in the same round for all."""
@@ -236,10 +254,9 @@ class Choosing(NamedTuple):
         last_change = max([self.last_change, *(message.last_change for message in inbox)])
         after = self._replace(round=round, last_change=last_change, neighbors=tuple(inbox))
         ahead = (other for other in inbox if _goes_first(other, own))
-        others: list[CommittedMessage | OfferMessage] = [*ahead, *after.kept_below]
-        if own.choice == self.offers.last or all(
-            keeps_clear(own.path, own.clearance, other) for other in others
-        ):
+        is_clear = all(keeps_clear(own.path, own.clearance, other) for other in ahead)
+        is_clear = is_clear and all(map(after.keeps_clear_of_held, after.kept_below))
+        if own.choice == self.offers.last or is_clear:
             return after
         choice = next_choice(self.offers.is_allowed[0], self.choice)
         return after._replace(choice=choice, last_change=round)

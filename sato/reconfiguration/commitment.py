@@ -83,7 +83,9 @@ def choose_offers(
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
     history = [choice.copy()]
     first, second = np.where(rank[i] < rank[j], (i, j), (j, i))
-    is_free = np.ones(len(i), dtype=bool)
+    is_free, allowed = np.ones(len(i), dtype=bool), radius
+    if is_confirmed:
+        allowed = held_distances(offers, i, j, radius)
     while True:
         is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
         met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
@@ -91,7 +93,7 @@ def choose_offers(
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
         moved = np.unique(np.where(is_lower, i[met], j[met]))
         if is_confirmed:
-            some = first[changed], second[changed], radius[changed]
+            some = first[changed], second[changed], allowed[changed]
             is_free[changed] = are_clear_of_held(offers, choice, *some)
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
@@ -151,6 +153,21 @@ def are_clear(
     paths = offers.paths[np.arange(len(choice)), choice]
     clear = are_paths_separated(paths, i, j, radius)
     return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, i, j)
+
+
+def held_distances(
+    offers: Offers,
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> Float[Array, " pairs"]:
+    """Return the distances to keep, or those that pairs keep by what they have committed to."""
+    count = len(offers.agents)
+    held = offers.paths[np.arange(count), np.full(count, offers.last)]
+    near, found = np.flatnonzero(~are_paths_separated(held, i, j, radius)), radius.copy()
+    kept = hull_distance(held[i[near]] - held[j[near]])[0].min(axis=1, initial=np.inf)
+    found[near] = np.minimum(radius[near], kept * (1 - ROUNDING))
+    return found
 
 
 def are_clear_of_held(
@@ -279,7 +296,7 @@ def find_waits(
     """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
     i, j = graph.pairs_among(offers.agents)
     i, j, count = np.append(i, j), np.append(j, i), len(paths)
-    radius = (offers.clearance[i] + offers.clearance[j]) / 2
+    radius = held_distances(offers, i, j, (offers.clearance[i] + offers.clearance[j]) / 2)
     held = offers.paths[np.arange(count), np.full(count, offers.last)]
     meets = ~are_paths_separated(np.concatenate([paths, held]), i, count + j, radius)
     return offers.agents[i[meets]], offers.agents[j[meets]]
