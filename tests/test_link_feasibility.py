@@ -106,7 +106,7 @@ def test_no_decision_of_two_takes_fewer_rounds_than_the_least(given, monkeypatch
     def count(self, mission, stops):
         for outcome in self.outcomes:
             census = network_decision.census_rounds(self.graph)
-            taken.append(int((census + outcome.rounds.sum(axis=1)).max()) + 1)
+            taken.append(int((census + sum(load.rounds for load in outcome.loads)).max()) + 1)
         return finish(self, mission, stops)
 
     monkeypatch.setattr(network_decision.Negotiations, "finish", count)

@@ -122,7 +122,10 @@ def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     ]
     assert all(auction.bidder_count[i] == last[i].bids.winner_count for i in last)
     assert auction.bid_count == sum(agent.bid_count for agent in last.values())
-    tables = [{i: WinningBids.empty(len(case.cost[0])) for i in last}, *(news(a) for a in agents)]
+    opening = case.opening or Opening.empty(*case.cost.shape)
+    none = np.full(len(case.cost[0]), NO_WINNER)
+    first = {i: WinningBids(opening.price[i], none) for i in last}
+    tables = [first, *(news(a) for a in agents)]
     for i in last:
         changes = [
             int(((now[i].price != was[i].price) | (now[i].winner != was[i].winner)).sum())

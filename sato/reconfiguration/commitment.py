@@ -324,7 +324,7 @@ def _list_evasions(
         T, pieces, reports = horizon.steps, len(horizon.fine_model), []
         for a in rows:
             i, kept = int(offers.agents[a]), float(offers.clearance[a])
-            own = i, plans[i].priority, horizon, u[a, :T], paths[a, :pieces], kept
+            own = i, plans[i].priority, horizon, u[a, :T], paths[a, :pieces].copy(), kept
             reports.append(make_report(context, *own))
             sizes[i] = measure_report(reports[-1])
         after = find_evasions(mission, horizon, reports)
