@@ -98,7 +98,7 @@ def _plan(central: CentralizedProblem, mission: Reconfiguration) -> tuple[Initia
     network = CommunicationGraph.from_positions(x[:, :d], mission.comm_radius, mission.alive)
     memory = replace(AgentMemory.initial(np.full(N, N)), target_index=np.arange(N))
     context = DecisionContext(mission, leg, network, x, memory, 0, 0.0)
-    plans, events = plan_trajectories(context, np.zeros(N), {})
+    plans, events, _ = plan_trajectories(context, np.zeros(N), {})
     flights = [plans[i].trajectory for i in range(N)]
     planned = np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
     gave_up = ", ".join(sorted({event["kind"] for event in events} - {"replan"}))

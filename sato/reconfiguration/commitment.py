@@ -114,7 +114,7 @@ def _count_choosing(
     when, rows = np.nonzero(is_new)
     steps = offers.count_own_steps(rows, history[when, rows])
     payload, last = np.zeros((2, len(graph.alive)), dtype=np.int64)
-    agents, d = offers.agents[rows], offers.horizon.discrete_model.B.shape[-1]
+    agents, d = offers.agents[rows], offers.paths[:1, 0].shape[-1]
     np.add.at(payload, agents, REAL * d * steps)
     np.maximum.at(last, agents, when)
     rounds = graph.component_max(last) + graph.diameter + 1

@@ -276,7 +276,7 @@ def choose_in_orbit(
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
     choice, load = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
-    own = offers.agents, int(offers.steps[0]), offers.horizon.discrete_model.B.shape[-1]
+    own = offers.agents, int(offers.steps[0]), offers.paths[:1, 0].shape[-1]
     load = load.plus(_count_holding(graph, *own))
     return OrbitalChoices(choice, choice == offers.last, load)
 
