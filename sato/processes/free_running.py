@@ -15,8 +15,8 @@ from sato.processes.free_vehicle import HEARTBEAT
 from sato.processes.messages import Consent, FreePacket, Held, Intention, Measured, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
-from sato.reconfiguration.agent_network import stop_at_once
 from sato.reconfiguration.disturbances import measure
+from sato.reconfiguration.network_decision import stop_at_once
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.reconfiguration.stopping import Commitment
 

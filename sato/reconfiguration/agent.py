@@ -25,11 +25,12 @@ from sato.reconfiguration.agent_inputs import (
     select_messages,
 )
 from sato.reconfiguration.agent_memory import FlightMemory
-from sato.reconfiguration.agent_network import Negotiation, foresee, stop_at_once
+from sato.reconfiguration.agent_network import Negotiation
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.network_decision import foresee, stop_at_once
 from sato.reconfiguration.plan import compute_spent, give_up_missed
 from sato.reconfiguration.planning import give_up_closed
 from sato.reconfiguration.state import DecisionContext, Event, begin_memory, update_believed
@@ -274,7 +275,8 @@ class Agent:
             if not flown.committed:
                 stop = stop_at_once(mission, i, context.state[i], instant)
                 flown = flown._replace(committed={i: stop})
-            context = foresee(context, i, flown.committed, self._has_begun(flown))
+            begun = np.full_like(context.memory.clock, self._has_begun(flown), dtype=bool)
+            context = foresee(context, flown.committed, begun)
             flown = flown._replace(plans=give_up_missed(context, flown.plans))
         assert flown.leg_start is not None
         own = flown.plans, flown.committed, flown.spent

@@ -6,25 +6,13 @@ that wait for it may follow. `network_decision` computes the same for all agents
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
-
-import numpy as np
-from numpy import ndarray as Array
 
 from sato.network.channel import NEVER
 from sato.network.synchronous_agent import SynchronousAgent
 from sato.reconfiguration.agent_decision import Decision
 from sato.reconfiguration.agent_inputs import AgentPacket
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import (
-    Commitment,
-    Commitments,
-    committed_controls,
-    held_controls,
-    pad_controls,
-)
 
 
 class Negotiation(NamedTuple):
@@ -70,37 +58,3 @@ class Negotiation(NamedTuple):
         current = [each for each in inbox if each.packet.instant == self.agent.instant]
         committed = self.committed.union(each.sender for each in current if each.commits)
         return Negotiation(self.agent.update([each.packet for each in current]), committed)
-
-
-def stop_at_once(mission: Reconfiguration, number: int, state: Array, instant: int) -> Commitment:
-    """Return the commitment of an agent that has made none: it stops."""
-    alone, velocity = np.array([number]), state[None, mission.axes :]
-    (u,), (steps,) = held_controls(mission, alone, velocity, {}, instant)
-    return Commitment(instant, u[:steps])
-
-
-def foresee(
-    context: DecisionContext, number: int, committed: Commitments, has_begun: bool
-) -> DecisionContext:
-    """Return the context in which an agent finds itself when it takes up a decision.
-
-    Args:
-        context: The context now.
-        number: Number of the agent.
-        committed: What it flies until then.
-        has_begun: True where its clock runs.
-    """
-    mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings
-    u = committed_controls(mission, number, committed, context.instant)[:lag]
-    model = mission.discretize(lag, context.time)
-    x = model.simulate(context.state, pad_controls([u] * len(context.state), lag))[:, -1]
-    if around is not None:
-        state, d = around.state.copy(), mission.axes
-        state[:, :d] += lag * mission.step * state[:, d:]
-        around = around._replace(state=state)
-    clock = np.minimum(context.memory.clock + lag * has_begun, context.leg.steps)
-    time, step_index = context.time + lag * mission.step, context.step_index + lag
-    memory = replace(context.memory, clock=clock)
-    return context._replace(
-        state=x, memory=memory, step_index=step_index, time=time, surroundings=around
-    )

@@ -83,9 +83,10 @@ def choose_offers(
     changed, is_clear = np.arange(len(i)), np.ones(len(i), dtype=bool)
     history = [choice.copy()]
     first, second = np.where(rank[i] < rank[j], (i, j), (j, i))
-    is_free, allowed = np.ones(len(i), dtype=bool), radius
+    is_free, rows = np.ones(len(i), dtype=bool), np.arange(len(choice))
     if is_confirmed:
-        allowed = held_distances(offers, i, j, radius)
+        held = offers.held_paths
+        allowed = held_distances(held, i, j, radius)
     while True:
         is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
         met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
@@ -94,7 +95,7 @@ def choose_offers(
         moved = np.unique(np.where(is_lower, i[met], j[met]))
         if is_confirmed:
             some = first[changed], second[changed], allowed[changed]
-            is_free[changed] = are_clear_of_held(offers, choice, *some)
+            is_free[changed] = are_clear_of_held(offers.paths[rows, choice], held, *some)
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
@@ -156,14 +157,12 @@ def are_clear(
 
 
 def held_distances(
-    offers: Offers,
+    held: Float[Array, "agents pieces 4 d"],
     i: Int[Array, " pairs"],
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> Float[Array, " pairs"]:
     """Return the distances to keep, or those that pairs keep by what they have committed to."""
-    count = len(offers.agents)
-    held = offers.paths[np.arange(count), np.full(count, offers.last)]
     near, found = np.flatnonzero(~are_paths_separated(held, i, j, radius)), radius.copy()
     kept = hull_distance(held[i[near]] - held[j[near]])[0].min(axis=1, initial=np.inf)
     found[near] = np.minimum(radius[near], kept * (1 - ROUNDING))
@@ -171,17 +170,14 @@ def held_distances(
 
 
 def are_clear_of_held(
-    offers: Offers,
-    choice: Int[Array, " agents"],
+    paths: Float[Array, "agents pieces 4 d"],
+    held: Float[Array, "agents pieces 4 d"],
     i: Int[Array, " pairs"],
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> Bool[Array, " pairs"]:
-    """Find the pairs in which what i chooses is clear of what j has committed to."""
-    count = len(choice)
-    held = offers.paths[np.arange(count), np.full(count, offers.last)]
-    paths = np.concatenate([offers.paths[np.arange(count), choice], held])
-    return are_paths_separated(paths, i, count + j, radius)
+    """Find the pairs in which the path of i is clear of what j has committed to."""
+    return are_paths_separated(np.concatenate([paths, held]), i, len(paths) + j, radius)
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:
@@ -224,7 +220,7 @@ def commit(
     order = [a for a in np.argsort(rank).tolist() if a not in kept]
     cautious = [a for a in order if choice[a] == offers.last]
     flown = np.array(offers.plan_steps)[choice]
-    held = offers.paths[rows, np.full(len(rows), offers.last)] if is_confirmed else paths
+    held = offers.held_paths if is_confirmed else paths
     improved = dict[int, int]()  # steps of the controls
     for a in cautious:
         near, i = adjacent[a], int(offers.agents[a])
@@ -295,10 +291,9 @@ def find_waits(
 ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
     """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
     i, j = graph.pairs_among(offers.agents)
-    i, j, count = np.append(i, j), np.append(j, i), len(paths)
-    radius = held_distances(offers, i, j, (offers.clearance[i] + offers.clearance[j]) / 2)
-    held = offers.paths[np.arange(count), np.full(count, offers.last)]
-    meets = ~are_paths_separated(np.concatenate([paths, held]), i, count + j, radius)
+    i, j, held = np.append(i, j), np.append(j, i), offers.held_paths
+    radius = held_distances(held, i, j, (offers.clearance[i] + offers.clearance[j]) / 2)
+    meets = ~are_clear_of_held(paths, held, i, j, radius)
     return offers.agents[i[meets]], offers.agents[j[meets]]
 
 

@@ -23,6 +23,8 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.network_decision import (
     Negotiations,
     Outcome,
+    foresee,
+    stop_at_once,
     whole_steps,
 )
 from sato.reconfiguration.orbital_commitment import commit_in_orbit
@@ -40,10 +42,7 @@ from sato.reconfiguration.plan import (
 from sato.reconfiguration.stopping import (
     Commitment,
     Commitments,
-    committed_controls,
     controls_at,
-    held_controls,
-    pad_controls,
 )
 from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
@@ -306,8 +305,11 @@ class _Flight:
     def _begin_decisions(self, context: state.DecisionContext) -> None:
         """Begin to decide what is flown from the next decision on."""
         mission = self.mission
-        self._stop_uncommitted(context)
-        later = self._foresee(context)
+        for i in np.flatnonzero(self.alive).tolist():
+            if i not in self.committed:
+                self.committed[i] = stop_at_once(mission, i, context.state[i], self.step_index)
+        known = context._replace(memory=self.memory)
+        later = foresee(known, self.committed, self._has_begun)
         self.plans = give_up_missed(later, self.plans)  # that end before they are flown again
         outcomes = []
         for deciding, bids in self._schedule_decisions(later, self.called):
@@ -318,36 +320,6 @@ class _Flight:
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
         limits = enters, mission.decision_rounds
         self.pending = Negotiations(outcomes, graph, channel, *limits, have_arrived)
-
-    def _stop_uncommitted(self, context: state.DecisionContext) -> None:
-        """Let agents stop that have not committed to anything."""
-        agents = np.array([i for i in np.flatnonzero(self.alive) if i not in self.committed])
-        if not len(agents):
-            return
-        velocity = context.state[agents, self.mission.axes :]
-        u, length = held_controls(self.mission, agents, velocity, {}, self.step_index)
-        for i, own, steps in zip(agents.tolist(), u, length.tolist(), strict=True):
-            self.committed[i] = Commitment(self.step_index, own[:steps])
-
-    def _foresee(self, context: state.DecisionContext) -> state.DecisionContext:
-        """Return the context in which agents find themselves when they take up a decision."""
-        mission, lag = self.mission, self.mission.lag_steps
-        each = range(len(self.x))
-        held = [committed_controls(mission, i, self.committed, self.step_index)[:lag] for i in each]
-        model = mission.discretize(lag, context.time)
-        x = model.simulate(context.state, pad_controls(held, lag))[:, -1]
-        around, adrift = context.surroundings, self.x
-        if around is not None:
-            for k in range(lag):
-                free = np.zeros((len(self.x), 1, mission.axes))
-                adrift = model[k : k + 1].simulate(adrift, free)[:, -1]
-                around = around.after(mission, adrift)
-        clock = np.where(self._has_begun, self.memory.clock + lag, self.memory.clock)
-        memory = replace(self.memory, clock=np.minimum(clock, self.leg.steps))
-        time, step_index = context.time + lag * mission.step, context.step_index + lag
-        return context._replace(
-            state=x, memory=memory, step_index=step_index, time=time, surroundings=around
-        )
 
     @property
     def _has_begun(self) -> Array:

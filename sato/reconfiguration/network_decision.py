@@ -19,8 +19,14 @@ from sato.network.synchronizer import Synchronizer
 from sato.reconfiguration.commitment import NOBODY
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans
-from sato.reconfiguration.state import AgentMemory, Event
-from sato.reconfiguration.stopping import Commitments
+from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
+from sato.reconfiguration.stopping import (
+    Commitment,
+    Commitments,
+    committed_controls,
+    held_controls,
+    pad_controls,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,3 +142,37 @@ def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> lis
     """
     most = int(mission.link.skew / mission.step + 1e-9)
     return np.minimum(np.rint(delay / mission.step), most).astype(int).tolist() if most else []
+
+
+def stop_at_once(mission: Reconfiguration, number: int, state: Array, instant: int) -> Commitment:
+    """Return the commitment of an agent that has made none: it stops."""
+    alone, velocity = np.array([number]), state[None, mission.axes :]
+    (u,), (steps,) = held_controls(mission, alone, velocity, {}, instant)
+    return Commitment(instant, u[:steps])
+
+
+def foresee(
+    context: DecisionContext, committed: Commitments, has_begun: Bool[Array, " agents"]
+) -> DecisionContext:
+    """Return the context in which agents find themselves when they take up a decision.
+
+    Args:
+        context: The context now.
+        committed: What each flies until then.
+        has_begun: True where its clock runs.
+    """
+    mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings
+    each, instant = range(len(context.state)), context.instant
+    held = [committed_controls(mission, i, committed, instant)[:lag] for i in each]
+    model = mission.discretize(lag, context.time)
+    x = model.simulate(context.state, pad_controls(held, lag))[:, -1]
+    if around is not None:
+        state, d = around.state.copy(), mission.axes
+        state[:, :d] += lag * mission.step * state[:, d:]
+        around = around._replace(state=state)
+    clock = np.minimum(context.memory.clock + lag * has_begun, context.leg.steps)
+    time, step_index = context.time + lag * mission.step, context.step_index + lag
+    memory = replace(context.memory, clock=clock)
+    return context._replace(
+        state=x, memory=memory, step_index=step_index, time=time, surroundings=around
+    )

@@ -90,6 +90,12 @@ class Offers(NamedTuple):
         """Choice of the committed trajectory."""
         return len(self.plan_steps) - 1
 
+    @property
+    def held_paths(self) -> Float[Array, "agents pieces 4 d"]:
+        """Paths to which agents have committed already."""
+        rows = np.arange(len(self.agents))
+        return self.paths[rows, np.full(len(rows), self.last)]
+
 
 def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
     """Make the offers of the agents that have planned.
