@@ -14,7 +14,7 @@ from sato.processes.fleet import Fleet
 from sato.processes.flight import as_processes
 from sato.processes.free_running import FreeRunning
 from sato.processes.free_vehicle import FreeVehicle
-from sato.processes.messages import Briefing, Consent, Held, Intention, Measured, Packet
+from sato.processes.messages import Briefing, Consent, FreePacket, Held, Intention, Measured
 from sato.processes.vehicle import Vehicle
 from sato.processes.world import World
 from sato.reconfiguration.check.promises import check_run
@@ -84,10 +84,10 @@ def test_vehicle_tells_others_that_it_commits_only_with_consent():
     act(vehicle, 60)
     (intention,) = kind_of(sent, Intention)
     assert intention.commitment.first_step == 4 and intention.commitment.u.any()
-    assert not any(decode(packet.content).commits for packet in kind_of(sent, Packet))
+    assert not any(decode(packet.content).commits for packet in kind_of(sent, FreePacket))
     vehicle._take_in(Consent(4))
     act(vehicle, 1)
-    assert decode(kind_of(sent, Packet)[-1].content).commits
+    assert decode(kind_of(sent, FreePacket)[-1].content).commits
 
 
 @pytest.mark.parametrize("has_consent", [True, False])
@@ -117,7 +117,7 @@ def test_vehicle_gives_up_where_it_hears_one_that_does_not_hear_it():
     vehicle, sent = alone()
     vehicle._take_in(Measured(0, REST, ()))
     act(vehicle, 3)
-    vehicle._take_in(Packet(1, 4, (5,), 1, kind_of(sent, Packet)[-1].content))
+    vehicle._take_in(FreePacket(1, 4, (5,), 1, kind_of(sent, FreePacket)[-1].content))
     act(vehicle, 60)
     assert not kind_of(sent, Intention)
 
