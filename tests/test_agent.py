@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from agents import decide, fly_by_messages
-from reconfiguration_runs import crowd_in_the_way, make_mission, row, wreck_in_the_way
+from reconfiguration_runs import (
+    at_rest,
+    crowd_in_the_way,
+    leg_to,
+    make_mission,
+    row,
+    wreck_in_the_way,
+)
 
 import sato
 from dynamics import ClohessyWiltshire, DoubleIntegrator
@@ -431,3 +438,17 @@ def test_agents_take_a_given_target_of_their_own_in_flight():
         x = LinearPlant(DoubleIntegrator(2)).propagate(x, u, 0.0, mission.step)[1]
     np.testing.assert_allclose(x[:, :2], [[0.0, 7.0], [3.0, 7.0]], atol=1e-5)
     assert all(agent.has_arrived for agent in agents.values())
+
+
+def test_agents_bid_on_as_many_targets_as_they_are_where_few_are_open():
+    # One of four is lost, and blocks two of four targets.
+    start = np.array([[0.3, 0.0], [0.0, 4.0], [3.0, 4.0], [6.0, 4.0]])
+    goal = np.array([[0.0, 0.0], [0.6, 0.0], [3.0, 0.0], [6.0, 0.0]])
+    loss = sato.Loss("agents", agents=(0,), body="coast")
+    leg = leg_to(at_rest(goal), 30, choose="prefix", losses=(loss,))
+    mission = make_mission(start, leg, comm_radius=40.0)
+    _, _, agents, *_ = next(fly_by_messages(mission))
+    held = [agent.target_index for agent in agents.values()]
+    frame = next(simulate(mission, np.random.default_rng(0)))
+    assert held == frame.target_index[1:].tolist()
+    assert len(set(held)) == 3 and {2, 3} < set(held)

@@ -419,11 +419,11 @@ class Decision(NamedTuple):
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
         cost = apply_bidding_rules(table, memory, self.number, is_near, firm)
         count = np.array(max(terms.target_count for terms in flood.message))
-        if counts_members(mission):
-            count = count_targets(count, np.array(len(self.members)), len(cost))
         order = np.arange(len(cost))
         if self.blocked:
             order, count = order_targets(count, np.isin(order, self.blocked))
+        if counts_members(mission):
+            count = count_targets(count, np.array(len(self.members)), len(cost))
         cost, m = cost[order], int(count)
         epsilon = compute_epsilon(mission, self.context.leg)
         VsdaaAuction(cost[None], ALONE, count[None], epsilon)  # checks its data

@@ -172,10 +172,10 @@ def run_auction(
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
     table, solves = compute_costs(context), 0
     count, order = memory.target_count, np.arange(len(context.leg.targets))
-    if counts_members(mission):
-        count = count_targets(count, graph.component_sizes, len(order))
     if blocked is not None:
         order, count = order_targets(count, blocked)
+    if counts_members(mission):  # also where fewer are open than there are agents
+        count = count_targets(count, graph.component_sizes, order.shape[-1])
     order = np.broadcast_to(order, table.cost.shape)
 
     def make(opening: Opening | None) -> VsdaaAuction:
