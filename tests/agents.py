@@ -98,6 +98,12 @@ def fly_by_messages(mission, seed=0):
                 break
 
 
+def coasting(leg, k):
+    """Return the agents that are lost at a step of a leg, and coast on."""
+    lost = [loss for loss in leg.losses if (loss.at_step, loss.body) == (k, "coast")]
+    return [i for loss in lost for i in loss.agents]
+
+
 class NetworkFlight:
     """Flight of agents alone over a network in which rounds take time; without noise.
 
@@ -114,6 +120,7 @@ class NetworkFlight:
         stops = find_first_commitments(mission)
         live = np.flatnonzero(self.alive).tolist()
         self.agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
+        self.watch = Watch(mission)
 
     def fly(self):
         """Yield states, controls, targets and kinds of events of the agents at each instant."""
@@ -146,7 +153,9 @@ class NetworkFlight:
         events = [list[tuple[int, str]]() for _ in states]
         is_over = False  # for all, who would go on repeating themselves
         for now in range(last):
-            sent = {}
+            sent, at = {}, now * mission.link.round / mission.step
+            if at > 0.5 and abs(at - round(at)) < 1e-6:
+                self.drift(leg, k + round(at), controls[round(at) - 1])
             for i, agent in self.agents.items():
                 r = now - int(self.enters[i])
                 if not 0 <= r < silent.get(i, self.rounds):
@@ -159,7 +168,8 @@ class NetworkFlight:
                 if step and is_new:
                     self.x[i] = self.fly_on(i, controls[step - 1, i])
                 states[step, i] = self.x[i]
-                controls[step, i], sent[i] = agent.step(time, self.x[i], inboxes[now][i])
+                seen = self.watch.look(self.x, [i], time)[i] if is_new else ()
+                controls[step, i], sent[i] = agent.step(time, self.x[i], inboxes[now][i], seen)
                 targets[step, i] = agent.target_index
                 if is_new and not step:
                     events[0] += [(i, event["kind"]) for event in agent.events]
@@ -169,7 +179,7 @@ class NetworkFlight:
                     inboxes[at][j].append(sent[int(channel.sender[edge])])
             has_begun = now >= self.enters.max()
             is_over = has_begun and all(agent.is_finished for agent in self.agents.values())
-        for i in self.agents:
+        for i in {*self.agents, *self.watch.adrift}:
             self.x[i] = self.fly_on(i, controls[-1, i])
         for i in silent:
             del self.agents[i]
@@ -180,6 +190,7 @@ class NetworkFlight:
     def lose(self, leg, k):
         """Lose agents; return the rounds of this decision after which others fall silent."""
         silent = {}
+        self.watch.adrift += coasting(leg, k)
         for loss in leg.losses:
             after = loss.at_step - k
             if 0 <= after < self.mission.lag_steps:
@@ -189,6 +200,12 @@ class NetworkFlight:
             del silent[i], self.agents[i]
             self.alive[i] = False
         return silent
+
+    def drift(self, leg, k, controls):
+        """Fly wrecks on until a step of the leg, and those that become one at that step."""
+        for i in [*self.watch.adrift, *coasting(leg, k)]:
+            self.x[i] = self.fly_on(i, controls[i])
+        self.watch.adrift += coasting(leg, k)
 
     def fly_on(self, i, control):
         """State of an agent after a step."""

@@ -50,9 +50,9 @@ def make_mission(start, *legs, **changes):
     return Reconfiguration(**(values | changes)).draw(np.random.default_rng(0))
 
 
-def crowd_in_the_way(rng, *, is_box=False, **changes):
-    """Nine vehicles in a square that nobody crosses, and a body that comes over them unseen."""
-    side = 1.06 * 0.5 * np.arange(3)
+def crowd_in_the_way(rng, *, rows=3, is_box=False, **changes):
+    """A square of vehicles that nobody crosses, and a body that comes over them unseen."""
+    side = 1.06 * 0.5 * np.arange(rows)
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     places += rng.normal(0.0, 0.004, places.shape)
     center, moves = np.array([-3.0, 0.5 + rng.normal(0.0, 0.2)]), {"velocity": (0.25, 0.0)}

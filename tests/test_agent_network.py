@@ -1,16 +1,19 @@
 """Agents over a network that loses and delays messages: the batched loop, control for control."""
 
+from itertools import islice
+
 import numpy as np
 import pytest
 from agents import NetworkFlight
 from lossy import relay
-from reconfiguration_runs import make_mission, row
+from reconfiguration_runs import crowd_in_the_way, make_mission, row
 from test_agent import ROUNDING, listed, spread
 
 import sato
 from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
 from sato.network.link import Link
+from sato.reconfiguration import commitment
 from sato.reconfiguration.loop import simulate
 
 LOSSY = {"loss_probability": 0.2, "late": 2, "outage": 0.02, "outage_share": 0.2, "round": 0.005}
@@ -70,23 +73,54 @@ def joining(rng):
     return make(spread(rng, 5, box=3.0), leg)
 
 
-MISSIONS = [free, losing, apart, exchanged, interrupted, hasty, joining]
+def surrounded(rng):
+    """Two are lost and coast on, an obstacle comes by, and another is seen on the way alone."""
+    passing = sato.Sphere((-4.0, 1.0), 0.4, velocity=(0.15, 0.0))
+    hidden = sato.Sphere((0.2, -0.2), 0.3, known=False)
+    losses = (sato.Loss("agents", agents=(i,), at_step=k, body="coast") for i, k in LOST)
+    places = spread(rng, 20, box=6.0)
+    places = places[hidden.distances(places) > 0.6]
+    leg = sato.Leg(places[6:14], 30, losses=tuple(losses))
+    changes = {"obstacles": (passing, hidden), "box": [[-5.0, -5.0], [5.0, 5.0]]}
+    return make(places[:6], leg, sensing_radius=5.0, **changes)
 
 
-@pytest.mark.parametrize("draw", MISSIONS)
-def test_agents_fly_over_a_network_as_the_loop_does(rng, draw):
-    mission, d = draw(rng), 2
-    frames = list(simulate(mission, np.random.default_rng(1)))
-    flown = list(NetworkFlight(mission, 1).fly())
+LOST = (1, 6), (4, 8)
+MISSIONS = [free, losing, apart, exchanged, interrupted, hasty, joining, surrounded]
+
+
+def compare(mission, count=None):
+    """Compare a flight by messages with that of the loop; return the frames of the loop."""
+    frames = list(islice(simulate(mission, np.random.default_rng(1)), count))
+    flown = list(islice(NetworkFlight(mission, 1).fly(), count))
     for frame, (x, control, target, events) in zip(frames, flown, strict=False):
         live = frame.alive
         near = {"rtol": 0, "atol": ROUNDING}
-        np.testing.assert_allclose(x[live, :d], frame.position[live], **near)
+        np.testing.assert_allclose(x[live, :2], frame.position[live], **near)
         np.testing.assert_allclose(control[live], frame.control[live], **near)
         assert np.array_equal(target[live], frame.target_index[live])
         told = [i for e in frame.events if e["kind"] == "unconfirmed" for i in e["agents"]]
         assert sorted(i for i, kind in events if kind == "unconfirmed") == told
-    assert len(flown) == len(frames) - 1
+    assert len(flown) == (count or len(frames) - 1)
+    return frames
+
+
+@pytest.mark.parametrize("draw", MISSIONS)
+def test_agents_fly_over_a_network_as_the_loop_does(rng, draw):
+    compare(draw(rng))
+
+
+def test_agents_evade_over_a_network_as_the_loop_does(rng, monkeypatch):
+    evaded, find = [], commitment.find_evasions
+
+    def record(*own):
+        evaded.append(find(*own))
+        return evaded[-1]
+
+    monkeypatch.setattr(commitment, "find_evasions", record)
+    link = Link(loss_probability=0.02, round=0.01)
+    frames = compare(crowd_in_the_way(rng, rows=2, link=link, comm_radius=20.0), 10)
+    assert any(evaded) and not any(e["kind"] == "unconfirmed" for f in frames for e in f.events)
 
 
 def test_losses_change_nothing_where_rounds_take_no_time(rng):

@@ -50,12 +50,17 @@ class Census(NamedTuple):
     @property
     def knows_diameter(self) -> bool:
         """True once the largest eccentricity that it knows is the diameter."""
-        return self.eccentricity >= 0 and self.round >= 3 * self.eccentricity + 1
+        return self.eccentricity >= 0 and self.round >= census_rounds(self.eccentricity)
 
     @property
     def is_finished(self) -> bool:
         """True once all agents of the component know the diameter; in the same round for all."""
-        return self.knows_diameter and self.round >= 3 * self.message.max_eccentricity + 1
+        return self.knows_diameter and self.round >= census_rounds(self.message.max_eccentricity)
+
+
+def census_rounds(diameter: Any) -> Any:
+    """Return the rounds in which agents learn their component: of a number, or of each agent's."""
+    return 3 * diameter + 1
 
 
 class Flood(NamedTuple):

@@ -112,7 +112,8 @@ class FreeVehicle:
         if measured.instant == self._asked and not self._has_consent:
             self._asked = None
             self._give_up()
-        elif len(measured.seen) > self._seen_count:  # it has decided without what it sees now
+        elif len(measured.seen) > self._seen_count:
+            # One that fell silent before it began is seen only now: what it had is clear of that.
             self._give_up()
         before = begun_at(agent)
         self.vehicle.begin(measured, [])

@@ -9,6 +9,7 @@ import numpy as np
 
 from sato.network import load
 from sato.network.encoding import COMMON_HELLO, HELLO
+from sato.network.flooding import census_rounds
 from sato.network.load import Load, fingerprint
 from sato.reconfiguration.state import DecisionContext
 
@@ -75,4 +76,4 @@ def count_census(context: DecisionContext) -> Load:
     size = HELLO * np.bincount(component, minlength=1)
     size += COMMON_HELLO * np.bincount(component[first], minlength=len(size))
     payload = payload + np.where(graph.alive, size[graph.component], 0)
-    return Load.of(graph, live, 3 * graph.diameter + 1, (messages, payload))
+    return Load.of(graph, live, census_rounds(graph.diameter), (messages, payload))

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
+from sato.network.flooding import census_rounds
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.synchronizer import Synchronizer
@@ -85,7 +86,9 @@ class Negotiations:
         discovered = synchronizer.advance(self.enters, none + 1)
         begun = np.maximum(discovered, self.enters + mission.link.discovery_rounds)
         begun = np.where(alive & (begun < ends), begun, NEVER)
-        counted = synchronizer.advance(begun, np.where(alive, census_rounds(self.graph) - 1, 0))
+        counted = synchronizer.advance(
+            begun, np.where(alive, census_rounds(self.graph.diameter) - 1, 0)
+        )
         through = []
         for outcome in self.outcomes:
             deciding = outcome.agents
@@ -103,11 +106,6 @@ class Finished:
 
     through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
     has_heard: Bool[Array, " agents"]  # of all in its component; true for those that were lost
-
-
-def census_rounds(graph: CommunicationGraph) -> Int[Array, " agents"]:
-    """Return the synchronous rounds in which agents learn who is in their component."""
-    return 3 * graph.diameter + 1
 
 
 def confirm(
