@@ -85,8 +85,16 @@ def surrounded(rng):
     return make(places[:6], leg, sensing_radius=5.0, **changes)
 
 
+def sighted(rng):
+    """One decides before it sees what comes over its way."""
+    passing = sato.Sphere((2.0, 6.15), 0.4, velocity=(0.0, -0.29), known=False)
+    leg = sato.Leg(listed([[4.0, 0.0], [0.0, -4.0]]), 40)
+    limits = {"max_speed": 0.6, "comm_radius": 40.0, "sensing_radius": 6.0}
+    return make(np.array([[0.0, 0.0], [0.0, -3.0]]), leg, obstacles=(passing,), **limits)
+
+
 LOST = (1, 6), (4, 8)
-MISSIONS = [free, losing, apart, exchanged, interrupted, hasty, joining, surrounded]
+MISSIONS = [free, losing, apart, exchanged, interrupted, hasty, joining, surrounded, sighted]
 
 
 def compare(mission, count=None):

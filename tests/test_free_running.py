@@ -3,12 +3,16 @@
 import os
 import signal
 from dataclasses import replace
+from itertools import islice
 from threading import Timer
 
 import numpy as np
 import pytest
+from local_fleet import fly_freely
+from reconfiguration_runs import make_mission, min_separation
 
 import sato
+from sato.network.link import Link
 from sato.processes.codec import decode
 from sato.processes.fleet import Fleet
 from sato.processes.flight import as_processes
@@ -104,13 +108,29 @@ def test_vehicle_flies_what_is_new_with_consent_alone(has_consent):
     assert held.commitment.u.any() == has_consent
 
 
-def test_vehicle_gives_a_decision_up_that_it_began_without_what_it_sees():
-    vehicle, sent = alone()
-    vehicle._take_in(Measured(0, REST, ()))
-    act(vehicle, 3)
-    vehicle._take_in(Measured(1, REST, ((7, np.array([5.0, 5.0, 0.0, 0.0])),)))
-    act(vehicle, 60)
-    assert not kind_of(sent, Intention)
+PAUSES = (0.0, 6.0), (0.05, 6.0), (1.9, 8.0), (3.9, 10.0)
+
+
+@pytest.mark.parametrize("pause", PAUSES)
+def test_nobody_flies_into_a_vehicle_that_is_paused(pause, monkeypatch):
+    start, goal = [[0.0, 0.0], [0.62, 0.0]], [[4.0, 0.0], [1.82, 4.0]]
+    leg = sato.Leg(sato.Points(goal, keep_order=True), 40)
+    limits = {"max_control": 0.3, "max_speed": 0.6, "comm_radius": 40.0}
+    link = Link(round=0.02)
+    mission = make_mission(np.array(start), leg, assignment="given", link=link, **limits)
+    frames = list(islice(fly_freely(mission, monkeypatch, {1: pause}), 14))
+    assert any(event["kind"] == "silent" for frame in frames for event in frame.events)
+    assert min_separation(mission, frames, 20) >= mission.collision_radius * (1 - 1e-6)
+    assert frames[-1].position[0, 0] > 0.2
+
+
+def test_vehicle_joins_clear_of_what_another_takes_up_at_that_instant(monkeypatch):
+    join = sato.Join(1, np.array([[0.75, 0.0]]), at_step=2)
+    leg = sato.Leg(np.array([[8.0, 0.0], [0.75, 12.0]]), 60, joins=(join,))
+    mission = make_mission(np.zeros((1, 2)), leg, comm_radius=40.0, link=Link(round=0.02))
+    frames = list(islice(fly_freely(mission, monkeypatch, {}), 20))
+    assert any(event["kind"] == "join" for frame in frames for event in frame.events)
+    assert min_separation(mission, frames, 20) >= mission.collision_radius
 
 
 def test_vehicle_gives_up_where_it_hears_one_that_does_not_hear_it():
@@ -131,8 +151,23 @@ def test_actuators_take_nothing_for_an_instant_that_has_come():
         fleet.send = lambda number, value: sent.append(value)
         commitment = sato.reconfiguration.stopping.Commitment(2, np.ones((3, 2)))
         for world.step_index in (1, 2):
-            flight._take_in(0, Intention(commitment))
+            flight._take_in(0, Intention(commitment, (1,)))
     assert sent == [Consent(2)]
+
+
+def test_actuators_take_nothing_that_was_decided_without_a_neighbor():
+    mission = mission_of(3)
+    rng = np.random.default_rng(SEED)
+    with Fleet() as fleet:
+        world = World(mission.draw(rng), rng)
+        flight, sent = FreeRunning(world, fleet, mission.to_toml(), SEED), []
+        fleet.send = lambda number, value: sent.append(value)
+        flight._ask(world.x)
+        sent.clear()
+        commitment = sato.reconfiguration.stopping.Commitment(4, np.ones((3, 2)))
+        for neighbors in ((1,), (1, 2)):
+            flight._take_in(0, Intention(commitment, neighbors))
+            assert sent == [Consent(4)] * (len(neighbors) - 1)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ from test_forgeries import broken as broken_promises
 from test_forgeries import forged
 
 import sato
-from sato.reconfiguration import loop
-from sato.reconfiguration.check import legs
+from sato.reconfiguration import leg as legs
 from sato.reconfiguration.leg import Leg
 
 SMALL = {
@@ -81,8 +80,7 @@ def test_join_waits_until_there_is_room():
 
 
 def test_leg_that_is_given_up_contradicts_nothing(monkeypatch):
-    for module in (loop, legs):
-        monkeypatch.setattr(module, "MAX_LEG_FACTOR", 5)
+    monkeypatch.setattr(legs, "MAX_LEG_FACTOR", 5)
     places = 0.501 * np.stack(np.meshgrid(range(3), range(3)), axis=-1).reshape(-1, 2)
     swapped = np.vstack([places[[1, 0]], places[2:]])
     leg = sato.Leg(sato.Points(swapped, keep_order=True), 6)

@@ -119,6 +119,31 @@ def test_no_decision_of_two_takes_fewer_rounds_than_the_least(given, monkeypatch
     assert len(taken) >= 1 and min(taken) >= link_feasibility.least_rounds(mission)
 
 
+@pytest.mark.parametrize("skew", [0.5, 1.0, 1.9])
+def test_two_whose_clocks_differ_without_a_warning_agree(skew):
+    start = np.array([[0.0, 0.0], [5.0, 0.0]])
+    periods = {"replan_steps": 4, "horizon_steps": 8, "auction_steps": 8}
+    link = Link(round=0.001, skew=skew)
+    own = start, sato.Leg(start + np.array([0.0, 3.0]), 40)
+    mission = make_mission(*own, comm_radius=400.0, link=link, **periods)
+    assert mission.warnings() == []
+    for seed in range(8):
+        frames = fly(mission, seed)
+        assert not any(e["kind"] == "unconfirmed" for f in frames for e in f.events)
+    own = own, {"comm_radius": 400.0, "link": Link(round=0.001, skew=2.5), **periods}
+    (warning,) = make_mission(*own[0], **own[1]).warnings()
+    assert "has 0 rounds" in warning and "link.skew_s = 1.9" in warning
+
+
+def test_networks_that_grow_on_the_way_are_warned_of():
+    far = 8.0 * np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [0.0, 1.0], [1.0, 1.0], [2.0, 1.0]])
+    leg = sato.Leg(0.2 * far + [6.0, 3.0], 80)
+    options = {"comm_radius": 5.0, "max_speed": 0.1, "allow_undetectable": True}
+    mission = make_mission(far, leg, link=Link(round=0.07), **options)
+    (warning,) = [text for text in mission.warnings() if "rounds of messages" in text]
+    assert "the 6 agents that meet in leg 0 in one network" in warning
+
+
 def test_warnings_say_where_a_link_slows_down_or_leaves_little_time():
     (none,) = draw(**{"link.loss": 0.2}).warnings()
     assert none.startswith("messages that are lost or late change nothing")

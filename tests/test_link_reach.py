@@ -104,6 +104,6 @@ def test_starts_faster_than_plans_are_refused_over_a_link():
 
 def test_the_period_is_as_long_as_delays_leave_room_for():
     changes = {"horizon_steps": 6, "replan_steps": None, "auction_steps": None, "max_speed": 0.4}
-    links = Link(), Link(round=0.01), Link(round=0.01, skew=0.5)
+    links = Link(), Link(round=0.01), Link(round=0.01, skew=0.3)
     missions = [two_vehicles(link, comm_radius=6.0, **changes) for link in links]
     assert [mission.replan_steps for mission in missions] == [3, 2, 1]

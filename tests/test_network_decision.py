@@ -6,6 +6,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from commitment_examples import continuous_separation, random_mission
+from numpy.linalg import norm
 from reconfiguration_runs import fly, make_mission, row
 
 import sato
@@ -72,7 +73,9 @@ def test_flight_over_a_network_is_that_without_one_a_decision_later():
 
 @pytest.mark.parametrize("skew", [0.0, 1.0])
 def test_runs_over_lossy_networks_keep_all_promises(skew):
-    mission = crossing(link=replace(FAULTS, skew=skew), position_noise=0.005, thrust_error=0.05)
+    periods = {"replan_steps": 4, "horizon_steps": 8, "auction_steps": 8}
+    noise = {"position_noise": 0.005, "thrust_error": 0.05}
+    mission = crossing(link=replace(FAULTS, skew=skew), **periods, **noise)
     run = sato.run(mission, seed=3)
     report = run.check()
     assert report.kept, [promise for promise in report.promises if not promise.kept]
@@ -174,6 +177,27 @@ def test_vehicle_joins_clear_of_what_others_take_up_when_it_joins():
     frames = fly(mission)
     assert continuous_separation(mission, frames) >= 1 - 1e-9
     assert frames[-1].alive.all()
+
+
+def test_obstacle_seen_in_the_middle_of_a_period_is_avoided():
+    # The vehicle sees it after it has decided on a trajectory that leads through it, 20 s later.
+    passing = sato.Sphere((2.0, 6.15), 0.4, velocity=(0.0, -0.29), known=False)
+    leg = sato.Leg(sato.Points([[4.0, 0.0]], keep_order=True), 40)
+    limits = {"max_control": 0.3, "max_speed": 0.6, "comm_radius": 40.0, "sensing_radius": 6.0}
+    own = {"assignment": "given", "obstacles": (passing,), "link": Link(round=0.001)}
+    mission = make_mission(np.zeros((1, 2)), leg, **limits | own)
+    frames = fly(mission)
+    gaps = [norm(f.position[0] - passing.place_at(f.time)) - passing.radius for f in frames]
+    assert gaps[0] > 5.6 and min(gaps) >= mission.collision_radius / 2
+    assert frames[-1].position[0] == pytest.approx([4.0, 0.0], abs=1e-5)
+
+
+def test_nothing_is_noted_of_a_decision_that_nobody_takes_up():
+    frames = fly(crossing(link=Link(round=0.02, loss_probability=0.4)))
+    events = [{event["kind"]: event["agents"] for event in f.events} for f in frames]
+    late = [told for told in events if told.get("unconfirmed") == [0, 1, 2, 3]]
+    assert len(late) >= 1 and not any("replan" in told for told in late)
+    assert sum("replan" in told for told in events) >= 1
 
 
 def test_vehicles_that_start_nearer_than_the_margin_part():

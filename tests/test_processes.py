@@ -11,8 +11,10 @@ from threading import Timer
 
 import numpy as np
 import pytest
+from reconfiguration_runs import make_mission
 
 import sato
+from sato.network.link import Link
 from sato.processes import fleet as fleet_module
 from sato.processes.fleet import Fleet, VehicleError
 from sato.processes.flight import as_processes
@@ -21,6 +23,7 @@ from sato.processes.messages import Call, Measured
 from sato.processes.world import World, move
 from sato.reconfiguration.check.promises import check_run
 from sato.reconfiguration.first_commitment import Traffic
+from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.system import SYSTEM
 from sato.record import collect_run_data
@@ -86,11 +89,26 @@ TIMED = "link.loss=0.05", "link.round_s=0.02", "swarm.comm_radius_m=20", "leg.0.
 
 @pytest.mark.parametrize("link", [(), LOSSY, TIMED], ids=["ideal", "lossy", "timed"])
 def test_processes_in_lock_step_fly_as_the_simulation(link):
-    mission = eventful(*link) if link != TIMED else four(*link)
+    mission = eventful(*link)
     with flight(mission) as (_, processes):
         frames = list(processes.fly())
     assert_same(frames, simulated(mission))
     assert check(mission, frames).kept
+
+
+def test_vehicles_join_and_give_legs_up_in_lock_step_as_in_the_simulation():
+    join = sato.Join(1, np.array([[0.75, 0.0]]), at_step=2)
+    joined = sato.Leg(np.array([[8.0, 0.0], [0.75, 12.0]]), 60, joins=(join,))
+    places, hasty = np.array([[0.0, 0.0], [5.0, 0.0]]), Link(round=2 / 22)
+    short = [sato.Leg(places + np.array([0.0, y]), 3) for y in (0.05, 0.1)]
+    missions = [make_mission(places[:1], joined, comm_radius=40.0, link=Link(round=0.05))]
+    missions.append(make_mission(places, *short, comm_radius=40.0, link=hasty))
+    for mission in missions:
+        with flight(mission) as (_, processes):
+            assert_same(list(processes.fly()), simulated(mission))
+            world = processes.world
+            assert {own.leg for own in world.status.values()} == {world.leg_index}
+    assert world.leg_index == 1 and world.leg_step == longest_leg(3, 2)
 
 
 def test_kill_in_the_middle_of_a_decision_is_a_loss_at_its_instant():

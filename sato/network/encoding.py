@@ -27,8 +27,8 @@ counts, steps and rounds take 2 bytes, flags 1, real numbers 8.
                      place, velocity, radius and corners
 
 A trajectory is told by its first state and the controls of all steps, a way around obstacles by a
-point of each piece as well. What has moved by less than 10⁻⁹ of the distance that two keep has not
-changed.
+point of each piece as well. Points that have moved by less than 10⁻⁹ of the distance that two keep
+have not changed.
 """
 
 from collections.abc import Sequence

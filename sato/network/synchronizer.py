@@ -1,11 +1,11 @@
 """Synchronous rounds over a network that loses and delays messages [Awerbuch1985].
 
-What agents decide together is defined by synchronous rounds: in each, an agent acts on what all of
-its neighbors sent in the round before. Where messages are lost or late, an agent repeats its last
-messages until its neighbors have gone on, and acts in a round once it has all that were sent in the
-round before. So it computes the same, only later. Every message says of which round it is, so that
-repeated ones do no harm. One that waits for an agent that is lost waits until the time of the
-decision is over, and keeps what it had.
+A decision is defined by synchronous rounds: in each, an agent acts on what all of its neighbors
+sent in the round before. Where messages are lost or late, an agent repeats its last messages until
+its neighbors have gone on, and acts in a round once it has all that were sent in the round before.
+So it computes the same, only later. Every message says of which round it is, so that repeated ones
+do no harm. One that waits for an agent that is lost waits until the time of the decision is over,
+and keeps what it had.
 """
 
 import numpy as np
@@ -59,7 +59,7 @@ class Synchronizer:
         while True:
             count = len(self._heard) - 1
             heard = self._heard[np.minimum(asked, count), self._edges]
-            # What is repeated in a round that is not drawn yet may be heard sooner.
+            # A message that is repeated in a round that is not drawn yet may be heard sooner.
             is_open = (asked < self._until) & (heard > count) & (count < self._until)
             if not is_open.any():
                 return np.asarray(heard)

@@ -69,7 +69,7 @@ class SynchronousAgent(NamedTuple):
     @property
     def has_expired(self) -> bool:
         """True where it has no time left to act."""
-        return not self.is_finished and self.network_round >= self.last_network_round
+        return self.network_round >= self.last_network_round
 
     def update(self, inbox: Sequence[Packet]) -> "SynchronousAgent":
         """Take in the packets that have arrived, and act once if that is possible.

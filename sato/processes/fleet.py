@@ -2,6 +2,7 @@
 
 import multiprocessing
 import signal
+from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker
@@ -46,6 +47,7 @@ class Fleet:
         self.ids: dict[int, int] = {}  # of all that were heard, to the operating system
         self.new: list[int] = []  # that ask for a mission
         self.gone: set[int] = set()  # that have ended, and of which nobody has taken note
+        self._received: deque[tuple[int, Any]] = deque()  # while others were started
         self._connection = Connection(self.port)
         self._connection.watch("*", self._note_end)
 
@@ -86,7 +88,8 @@ class Fleet:
             self.processes[i] = process
         until = monotonic() + START_TIME
         while not set(each) <= set(self.new):
-            self.receive()
+            if (received := self._receive(LOOK_INTERVAL)) is not None:
+                self._received.append(received)
             for i in each:
                 if not self.processes[i].is_alive():
                     code = self.processes[i].exitcode
@@ -130,6 +133,9 @@ class Fleet:
         Raises:
             VehicleError: A vehicle cannot go on.
         """
+        return self._received.popleft() if self._received else self._receive(timeout)
+
+    def _receive(self, timeout: float) -> tuple[int, Any] | None:
         received = self._connection.receive(timeout)
         if received is None:
             return None

@@ -18,7 +18,6 @@ from sato.processes.world import World
 from sato.reconfiguration.disturbances import measure
 from sato.reconfiguration.network_decision import stop_at_once
 from sato.reconfiguration.state import ReconfigurationFrame
-from sato.reconfiguration.stopping import Commitment
 
 GRACE = 0.2  # of a step, within which vehicles say what they fly
 SILENT_TIME = 5 * HEARTBEAT  # after which a vehicle that sends nothing is taken as paused [s]
@@ -28,8 +27,9 @@ class FreeRunning:
     """Flight in which the world goes on by the clock, whether vehicles have acted or not.
 
     A vehicle flies what its actuators have last heard from its process, to its end at rest. These
-    take nothing for an instant that has come. One that says nothing, as its process is paused, is
-    seen by others as one that was lost and is still there.
+    take nothing for an instant that has come, and nothing that was decided without a vehicle that
+    was within hearing, and not seen to be silent. One that says nothing, as its process is paused,
+    is seen by others as one that was lost and is still there.
     """
 
     def __init__(
@@ -41,8 +41,8 @@ class FreeRunning:
         self.step, self.tick = mission.step / speed, mission.link.round / speed  # [s]
         self.presence = Presence(world, fleet, scenario, seed, self.tick)
         rng = world.rng.spawn(1)[0]
-        self._air = _Air(world, self.tick, rng)
-        self._intended: dict[int, Commitment] = {}  # what is flown later, with consent
+        self._under_way = PacketsUnderWay(world, self.tick, rng)
+        self._beside: dict[int, set[int]] = {}  # vehicles within hearing, as decisions began
         self._reports: dict[int, Status] = {}  # that are not recorded yet
         self._on_time: set[int] = set()  # vehicles that have reported at this instant
         self._heard: dict[int, float] = {}  # time at which each last said anything
@@ -54,13 +54,15 @@ class FreeRunning:
         world.begin_leg(0)
         due = monotonic()
         while True:
+            world.take_up()
             self.presence.update()
+            due = max(due, monotonic())  # a process that was started takes its time
             if world.end_leg():
                 if world.leg_index == len(world.mission.legs) - 1:
                     break
                 world.begin_leg(world.leg_index + 1)
                 self.fleet.kill(world.apply_losses())
-            self._take_up()
+            self._stop_others()
             measured = measure(world.mission, world.x, world.rng)
             self._ask(measured)
             reports, self._reports = self._reports, {}
@@ -72,16 +74,13 @@ class FreeRunning:
             self._run_until(due, set())
         yield world.make_frame()
 
-    def _take_up(self) -> None:
-        """Fly from now on what was intended for this instant; stop, where nothing is."""
+    def _stop_others(self) -> None:
+        """Stop those that have not said what they fly."""
         world = self.world
         for i in world.live:
             if i not in world.committed:
                 state = world.x[i]
                 world.committed[i] = stop_at_once(world.mission, i, state, world.step_index)
-        for i, own in list(self._intended.items()):
-            if own.first_step <= world.step_index:
-                world.committed[i] = self._intended.pop(i)
 
     def _ask(self, measured: Array) -> None:
         """Tell all what they measure and see, and let them say what they fly."""
@@ -89,6 +88,11 @@ class FreeRunning:
         silent = [i for i in world.live if now - self._heard.setdefault(i, now) > SILENT_TIME]
         if silent:
             world.note("silent", silent)
+        if world.leg_step % world.mission.lag_steps == 0:
+            graph = world.connect()
+            self._beside = {
+                i: set(graph.neighbors[i].tolist()).difference(silent) for i in world.live
+            }
         seen = world.look_around(silent)
         for i in world.live:
             self.fleet.send(i, Measured(world.step_index, measured[i], seen.get(i, ())))
@@ -99,7 +103,7 @@ class FreeRunning:
     def _run_until(self, due: float, awaited: set[int]) -> None:
         """Pass on packets until a time, or until all that are awaited have reported."""
         while (left := due - monotonic()) > 0:
-            received = self.fleet.receive(min(left, self._air.deliver(self.fleet)))
+            received = self.fleet.receive(min(left, self._under_way.deliver(self.fleet)))
             if received is not None:
                 number, value = received
                 self._heard[number] = monotonic()
@@ -112,18 +116,20 @@ class FreeRunning:
         if not world.alive[number]:
             return
         if isinstance(value, FreePacket) and value.until > world.step_index:
-            self._air.send(number, value)
+            self._under_way.send(number, value)
         elif isinstance(value, Held):
             if value.instant == world.step_index:
                 self._on_time.add(number)
             before = self._reports.get(number)
             self._reports[number] = value.status if before is None else before.then(value.status)
         elif isinstance(value, Intention) and value.commitment.first_step > world.step_index:
-            self._intended[number] = value.commitment
-            self.fleet.send(number, Consent(value.commitment.first_step))
+            missed = self._beside.get(number, set()).difference(value.neighbors)
+            if not missed.intersection(world.live):
+                world.intended[number] = value.commitment
+                self.fleet.send(number, Consent(value.commitment.first_step))
 
 
-class _Air:
+class PacketsUnderWay:
     """Packets under way between vehicles: some are lost, or late."""
 
     def __init__(self, world: World, tick: float, rng: np.random.Generator) -> None:

@@ -1,8 +1,9 @@
 """Vehicle that runs freely: it acts once it has what it waits for, and repeats itself by the clock.
 
 It asks its actuators before it tells others that it commits to something new. These refuse what
-comes too late, as from a process that was paused, and it keeps what it had. It also does where it
-hears one that does not hear it, or heard it too late: both decide again in the next period.
+comes too late, as from a process that was paused, and what was decided without a vehicle beside it:
+then it keeps what it had. It also does where it hears one that does not hear it, or heard it too
+late: both decide again in the next period.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,6 @@ class FreeVehicle:
         self._measured: Measured | None = None
         self._begun: Any = None  # negotiation as it began
         self._until: int | None = None  # instant at which it ends; None where it is given up
-        self._seen_count = 0  # at that time
         self._inbox: list[Any] = []
         self._listens_until = 0.0  # time at which it knows its neighbors [s]
         self._rounds: dict[int, int] = {}  # last in which each neighbor has acted
@@ -112,9 +112,6 @@ class FreeVehicle:
         if measured.instant == self._asked and not self._has_consent:
             self._asked = None
             self._give_up()
-        elif len(measured.seen) > self._seen_count:
-            # One that fell silent before it began is seen only now: what it had is clear of that.
-            self._give_up()
         before = begun_at(agent)
         self.vehicle.begin(measured, [])
         self._measured = measured
@@ -126,8 +123,7 @@ class FreeVehicle:
             timed = begun.agent._replace(discovery_rounds=NEVER, last_network_round=NEVER)
             begun = begun._replace(agent=timed)
             agent.memory = agent.memory._replace(negotiation=begun)
-            self._begun, self._seen_count = begun, len(measured.seen)
-            self._until = begun.decision.context.instant
+            self._begun, self._until = begun, begun.decision.context.instant
             self._inbox, self._asked, self._has_consent = [], None, False
             self._rounds = {}
         self.send(Held(measured.instant, self.vehicle.report()))
@@ -151,11 +147,11 @@ class FreeVehicle:
         packet = self.vehicle.act(measured, inbox)
         negotiation = agent.memory.negotiation
         assert negotiation is not None
-        commitment = negotiation.decision.committed.get(self.vehicle.number)
+        intended = self.vehicle.intended
         if negotiation.commits and not self._has_consent:
-            if self._asked is None and commitment is not None:
-                self._asked = commitment.first_step
-                self.send(Intention(commitment))
+            if self._asked is None and intended is not None:
+                self._asked = intended.first_step
+                self.send(Intention(intended, self._decides_with or ()))
             return
         own = self._decides_with, negotiation.agent.round
         head = self.vehicle.number, self._until, *own

@@ -37,6 +37,7 @@ class LockStep:
             world.begin_leg(number)
             while True:
                 self.fleet.drain()
+                world.take_up()
                 self.presence.update()
                 if world.end_leg():
                     break
@@ -44,6 +45,8 @@ class LockStep:
                 first, last = self._decide(measured)
                 control = world.take_reports(first)
                 world.status |= last
+                intended = ((i, own.intended) for i, own in last.items())
+                world.intended |= {i: later for i, later in intended if later is not None}
                 applied = world.disturb(control)
                 yield world.make_frame(control, applied, measured)
                 world.fly(control, applied)

@@ -55,6 +55,7 @@ class Status(NamedTuple):
     is_leg_over: bool  # as the vehicle knows
     control: Float[Array, " d"]  # held [m/s²]
     commitment: Commitment | None
+    intended: Commitment | None  # what is flown from the next decision on, where that takes time
     target_index: int
     target_count: int
     clock: int
@@ -93,6 +94,7 @@ class Intention(NamedTuple):
     """Request of a vehicle that runs freely to fly something else from an instant on."""
 
     commitment: Commitment
+    neighbors: tuple[int, ...]  # with which it has decided
 
 
 class Consent(NamedTuple):

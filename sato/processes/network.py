@@ -99,7 +99,7 @@ class Connection:
     def receive(self, timeout: float | None) -> tuple[str, Any] | None:
         """Return the sender and the next value; None if there is none within a time [s].
 
-        What is no message is dropped.
+        Anything that is no message is dropped.
         """
         try:
             sender, data = self._received.get(timeout=timeout)

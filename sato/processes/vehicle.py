@@ -11,7 +11,9 @@ from sato.reconfiguration.agent_network import Negotiation
 from sato.reconfiguration.agent_stages import Exchange
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.halfway_stages import Bending, Meeting
+from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.stopping import Commitment
 from sato.scenario.file import parse
 
 
@@ -43,6 +45,8 @@ class Vehicle:
     def begin(self, measured: Measured, inbox: list[Any]) -> Any:
         """Begin a control instant; return the packet to others."""
         negotiation = self.agent.memory.negotiation
+        if self._gives_up(measured.instant):
+            self.begin_leg(min(self.leg + 1, len(self.mission.legs) - 1))
         self._ended, self._calls, self._solves = None, False, 0
         time = measured.instant * self.mission.step
         _, packet = self.agent.step(time, measured.state, inbox, measured.seen)
@@ -51,6 +55,12 @@ class Vehicle:
         if not self.mission.lag_steps:
             self._calls = _has_called(self.agent)
         return packet
+
+    def _gives_up(self, instant: int) -> bool:
+        """Tell whether its leg has taken too long; it tells nobody, as all know when it began."""
+        lag, began = self.mission.lag_steps, self.agent.memory.leg_start
+        longest = longest_leg(self.mission.legs[self.leg].steps, lag)
+        return bool(lag) and began is not None and instant == began + longest
 
     def act(self, measured: Measured, inbox: list[Any]) -> Any:
         """Act in a round after the first of an instant; return the packet to others."""
@@ -61,6 +71,14 @@ class Vehicle:
             self._is_leg_over = self.leg == len(self.mission.legs) - 1
             self.begin_leg(min(self.leg + 1, len(self.mission.legs) - 1))
         return packet
+
+    @property
+    def intended(self) -> Commitment | None:
+        """Trajectory that is flown from the next decision on, once the vehicle commits to it."""
+        negotiation = self.agent.memory.negotiation
+        if negotiation is None or not negotiation.commits:
+            return None
+        return negotiation.decision.committed.get(self.number)
 
     def report(self) -> Status:
         """Report for the record."""
@@ -76,6 +94,7 @@ class Vehicle:
             is_leg_over=self._is_leg_over,
             control=flown.control,
             commitment=flown.committed.get(i),
+            intended=self.intended,
             target_index=int(flown.memory.target_index[i]),
             target_count=int(flown.memory.target_count[i]),
             clock=int(flown.memory.clock[i]),

@@ -17,7 +17,7 @@ from sato.obstacles import Obstacle, Polytope
 from sato.processes.messages import Status
 from sato.reconfiguration.disturbances import disturb_control, draw_losses
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
-from sato.reconfiguration.leg import MAX_LEG_FACTOR
+from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import Event, ReconfigurationFrame, begin_memory
 from sato.reconfiguration.stopping import Commitments, controls_at
@@ -33,6 +33,7 @@ class World:
         self.x, self.alive = mission.initial_states, mission.alive
         self.surroundings = find_surroundings(mission)
         self.committed: Commitments = dict(find_first_commitments(mission))
+        self.intended: Commitments = {}  # what is flown from a later instant on
         self.waiting: list[int] = []  # vehicles that join as soon as there is room
         self.restarted: set[int] = set()  # those of them whose processes were started again
         self.lost: set[int] = set()  # vehicles that have been lost
@@ -77,11 +78,14 @@ class World:
 
     def end_leg(self) -> bool:
         """End the leg if it is over; return True if so."""
-        is_given_up = self.leg_step == MAX_LEG_FACTOR * self.mission.legs[self.leg_index].steps
+        steps = self.mission.legs[self.leg_index].steps
+        longest = longest_leg(steps, self.mission.lag_steps)
+        is_given_up = self.leg_step == longest
         if not (is_given_up or (self.leg_step > 0 and self._is_leg_over())):
             return False
         if is_given_up:
-            self.note("infeasible", self.live, what="the leg is given up: it took too many steps")
+            what = f"the leg is given up after {longest} steps"
+            self.note("infeasible", self.live, what=what)
         waiting = [i for i in self.waiting if i not in self.restarted]
         if self.leg_index == len(self.mission.legs) - 1 and waiting:
             self.note("refused", waiting)
@@ -122,6 +126,11 @@ class World:
         """States of all; of those whose processes were started again, that at the start."""
         again = np.isin(np.arange(len(self.x)), list(self.restarted))
         return np.where(again[:, None], self.mission.initial_states, self.x)
+
+    def take_up(self) -> None:
+        """Fly from now on what was intended for this instant."""
+        due = [i for i, own in self.intended.items() if own.first_step <= self.step_index]
+        self.committed |= {i: self.intended.pop(i) for i in due}
 
     def admit_joins(self) -> list[int]:
         """Return the vehicles that join now: over a network, when others decide."""
@@ -181,6 +190,7 @@ class World:
         for i in lost:
             self.status.pop(i, None)
             self.committed.pop(i, None)
+            self.intended.pop(i, None)
 
     def restart(self, agent: int) -> None:
         """Let a lost vehicle whose process was started again wait for room where it started."""

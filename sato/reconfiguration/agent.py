@@ -260,13 +260,15 @@ class Agent:
         known = self._graph, estimate.reference, flown.memory
         around = sense_surroundings(mission, when[1], len(measured), seen)
         context = DecisionContext(mission, flown.leg, *known, *when, solvers, around)
-        sees_new = [self.number] if len(seen) > flown.seen_count else []
+        decides = not mission.lag_steps or when[0] % mission.replan_steps == 0
+        known_count = flown.decided_count if decides else flown.seen_count
+        sees_new = [self.number] if len(seen) > known_count else []
         plans = give_up_missed(context, flown.plans)
         closed = give_up_closed(context, plans, sees_new)
         joins |= flown.is_calling or closed.get(self.number) is not plans.get(self.number)
         flown = flown._replace(plans=closed, seen_count=len(seen), is_calling=joins)
-        if not mission.lag_steps or when[0] % mission.replan_steps == 0:
-            flown = self._begin_decision(flown, context)
+        if decides:
+            flown = self._begin_decision(flown._replace(decided_count=len(seen)), context)
         return flown._replace(control=self._control(flown))
 
     def _begin_decision(self, flown: FlightMemory, context: DecisionContext) -> FlightMemory:

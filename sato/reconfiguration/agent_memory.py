@@ -33,6 +33,7 @@ class FlightMemory(NamedTuple):
     next_leg: Leg | None = None  # that begins with the next decision
     events: tuple[Event, ...] = ()  # of the decision that it took up last
     seen_count: int = 0  # things that it has seen
+    decided_count: int = 0  # and those before its last decision began
     heard: frozenset[int] | None = None  # agents in the last round of an instant; None in the first
 
     @property

@@ -185,7 +185,7 @@ class OfferMessage(NamedTuple):
     clearance: float  # that two of the sender's kind would keep [m]
     last_change: int  # last round in which an agent is known to have changed its choice
     step_count: int  # of the controls that are not those of the plan
-    # What the sender had committed to, where it may go on flying that.
+    # Of the earlier commitment of the sender, where it may go on flying that.
     held: Float[Array, "pieces 4 d"] | None = None
 
     @property

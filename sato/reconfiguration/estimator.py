@@ -87,7 +87,7 @@ def predict(
 
     Args:
         mission: Model and noise.
-        estimate: What the agents know at the beginning of the step.
+        estimate: Knowledge of the agents at the beginning of the step.
         control: Commanded in the step; NaN for agents that are not there [m/s²].
         planned: The same without feedback [m/s²].
         time: Beginning of the step [s].

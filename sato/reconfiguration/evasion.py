@@ -63,7 +63,7 @@ def list_looks(
 ) -> Iterator[Look]:
     """List how long an agent rests at the end, and obstacles as they count, the best first.
 
-    Others may move for long. What moves counts until the agent, at rest, could get out of its way,
+    Others may move for long. Each counts until the agent, at rest, could get out of its way,
     or, where that is too far to go at once, for a part of that time; not if it comes later. The
     last is the first of which the committed path is clear.
     """
@@ -92,7 +92,7 @@ def _count_ahead(context: DecisionContext, agent: int) -> list[int]:
 def is_met(context: DecisionContext, offers: Offers, row: int, choice: int) -> bool:
     """Tell whether something that an agent knows comes over what it has chosen.
 
-    What is offered in place of what it had is clear of all.
+    An offer in place of what it had is clear of all.
     """
     if choice < offers.last or context.surroundings is None:
         return False

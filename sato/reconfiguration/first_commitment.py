@@ -51,7 +51,7 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         mission: A drawn mission.
 
     Returns:
-        What each has committed to; nothing where all are at rest, or the mission is in orbit.
+        Commitment of each; none where all are at rest, or the mission is in orbit.
 
     Raises:
         InputError: Two cannot stop clear of each other.
@@ -282,7 +282,7 @@ def check_stops(
         agents: Numbers of the vehicles.
         state: States of the vehicles.
         where: Key of the states, for the error.
-        committed: What they have committed to; those without a commitment stop at once.
+        committed: Their commitments; those without a commitment stop at once.
         instant: Steps since the start of the mission.
 
     Raises:

@@ -7,6 +7,7 @@ from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.network.graph import CommunicationGraph
@@ -126,15 +127,15 @@ def _check_rounds(mission: "Reconfiguration") -> None:
         "link.round_s",
         f"{link.round:g} s leave {has} rounds of messages for a decision, in replan_steps = "
         f"{steps} of {mission.step:g} s{less}, and it takes at least {needed:.0f}: "
-        f"{link.silent_rounds} to hear all neighbors, and {least_rounds(mission)} to agree, each "
-        f"repeated until it is heard; {join_names(cures)} would do",
+        f"{link.silent_rounds} to hear all neighbors, and {least_rounds(mission)} to agree, "
+        f"each repeated until it is heard; {join_names(cures)} would do",
     )
 
 
 def count_rounds(mission: "Reconfiguration", link: Link, steps: int) -> int:
     """Count the rounds of messages that a decision has, in a replanning period of so many steps.
 
-    Those of an agent whose clock is behind end later, but others have gone on by then.
+    Agents listen longer for those whose clocks may be behind.
     """
     return int(link.count_rounds(max(steps * mission.step - mission.compute - link.skew, 0.0)))
 
@@ -251,19 +252,36 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
 
 
 def _doubt_rounds(mission: "Reconfiguration") -> list[str]:
-    place = mission.initial_states[:, : mission.axes]
-    graph = CommunicationGraph.from_positions(place, mission.comm_radius, mission.alive)
-    sizes = np.bincount(graph.component[graph.alive])
-    largest = graph.subgraph(graph.component == sizes.argmax())
-    link, agents, D = mission.link, int(sizes.max()), int(largest.diameter[largest.alive].max())
-    a, b, c = LIKELY_ROUNDS
-    has = count_rounds(mission, link, mission.replan_steps)
-    likely = link.silent_rounds + measure_round(link, largest) * (a * agents + b * D + c)
-    if has >= likely:
+    d, link = mission.axes, mission.link
+    places = {"start": mission.initial_states[mission.alive, :d]}
+    places |= {f"meet in leg {n}": leg.targets[:, :d] for n, leg in enumerate(mission.legs)}
+    networks = [(*_largest_network(mission, some), where) for where, some in places.items()]
+    rounds, agents, graph, where = max(networks, key=lambda network: network[0])
+    likely = link.silent_rounds + measure_round(link, graph) * rounds
+    # Agents listen longer for those behind, which begin as much later.
+    period = mission.replan_steps * mission.step - mission.compute
+    left, spare = period - 2 * link.skew, period - likely * link.round
+    if left >= likely * link.round:
         return []
-    cure = f"; link.round_s = {round_down(link.round * has / likely)} may do" if has else ""
+    cures = [f"link.round_s = {round_down(left / likely)}"] if left > 0 else []
+    cures += [f"link.skew_s = {round_down(spare / 2)}"] if link.skew and spare > 0 else []
+    cure = f"; {join_names(cures)} may do" if cures else ""
+    has = int(link.count_rounds(max(left, 0.0)))
     return [
-        f"a decision has {has} rounds of messages, and a first auction of the {agents} agents that "
-        f"start in one network is likely to take {likely:.0f}; those that do not end in time keep "
-        f"what they have{cure}"
+        f"a decision has {has} rounds of messages, and an auction of the {agents} agents that "
+        f"{where} in one network is likely to take {likely:.0f}; those that do not end in time "
+        f"keep what they have{cure}"
     ]
+
+
+def _largest_network(
+    mission: "Reconfiguration", places: Array
+) -> tuple[int, int, CommunicationGraph]:
+    """Return the largest network among places, its agents, and the rounds that these may take."""
+    everyone = np.ones(len(places), dtype=bool)
+    graph = CommunicationGraph.from_positions(places, mission.comm_radius, everyone)
+    sizes = np.bincount(graph.component)
+    largest = graph.subgraph(graph.component == sizes.argmax())
+    agents, D = min(int(sizes.max()), mission.vehicle_count), int(largest.diameter.max())
+    a, b, c = LIKELY_ROUNDS
+    return a * agents + b * D + c, agents, largest

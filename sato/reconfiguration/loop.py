@@ -18,7 +18,7 @@ from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.commitment import CommitmentChoice, commit
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
-from sato.reconfiguration.leg import MAX_LEG_FACTOR
+from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.network_decision import (
     Negotiations,
@@ -79,6 +79,7 @@ class _Flight:
         self.plans: Plans = {}
         self.committed: Commitments = find_first_commitments(mission)
         self.surroundings = find_surroundings(mission)
+        self.sees_new = np.zeros(len(m), dtype=bool)  # since the last decisions began
         self.waiting: list[int] = []  # agents that join as soon as there is room
         self.called: list[int] = []  # agents that call for an auction when they decide next
         self.pending: Negotiations | None = None  # decisions that are under way
@@ -105,20 +106,21 @@ class _Flight:
         self.left_out: set[int] = set()  # targets that some agents know to be blocked
         self.pending = None
         self._note("leg_start", self.alive, leg=number)
-        for k in range(MAX_LEG_FACTOR * steps + 1):
+        longest = longest_leg(steps, mission.lag_steps)
+        for k in range(longest + 1):
             is_known = self._end_decisions(k)
             joined = self._admit_joins(k)
             self._apply_losses(k)
             if not joined and is_known and (mission.lag_steps or self._have_arrived(k).all()):
                 break
-            if k == MAX_LEG_FACTOR * steps:
-                what = f"the leg is given up after {MAX_LEG_FACTOR} times its steps"
+            if k == longest:
+                what = f"the leg is given up after {longest} steps"
                 self._note("infeasible", self.alive, what=what)
                 break
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
-            seen_by = self._look_around()
+            seen_by = self._look_around(k)
             time = self.step_index * mission.step
             rest = self.memory, k, time, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
@@ -151,14 +153,20 @@ class _Flight:
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
 
-    def _look_around(self) -> list[int]:
-        """Let agents see what is near; return those that see something new."""
-        before = self.surroundings
+    def _look_around(self, k: int) -> list[int]:
+        """Let agents see what is near; return those whose plans were made without some of it.
+
+        Over a network, they take up a plan that was made before they saw what has come since.
+        """
+        before, mission = self.surroundings, self.mission
         if before is None:
             return []
-        self.surroundings = before.seen_from(self.mission, self.x)
+        self.surroundings = before.seen_from(mission, self.x)
         is_new = self.alive & (self.surroundings.is_known & ~before.is_known).any(axis=1)
-        return np.flatnonzero(is_new).tolist()
+        self.sees_new |= is_new
+        if not mission.lag_steps or k % mission.replan_steps == 0:
+            is_new, self.sees_new = self.sees_new, np.zeros_like(is_new)
+        return np.flatnonzero(is_new & self.alive).tolist()
 
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.

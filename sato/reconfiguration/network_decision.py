@@ -47,18 +47,19 @@ class Outcome:
 
     def of(self, some: Bool[Array, " agents"]) -> "Outcome":
         """Return what some of the agents have decided, with the events that are theirs."""
-        events = []
+        agents, events = self.agents & some, []
         for event in self.events:
             theirs = [i for i in event["agents"] if some[i]]
-            if theirs or not event["agents"]:
+            if theirs or (not event["agents"] and agents.any()):
                 events.append({**event, "agents": theirs})
         return replace(
             self,
-            agents=self.agents & some,
+            agents=agents,
             plans={i: plan for i, plan in self.plans.items() if some[i]},
             committed={i: own for i, own in self.committed.items() if some[i]},
             events=events,
             was_reset=self.was_reset & some,
+            blocked=None if self.blocked is None else self.blocked & some[:, None],
         )
 
 
@@ -156,7 +157,7 @@ def foresee(
 
     Args:
         context: The context now.
-        committed: What each flies until then.
+        committed: Commitments that are flown until then.
         has_begun: True where its clock runs.
     """
     mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings

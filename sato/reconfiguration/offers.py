@@ -141,7 +141,7 @@ def _fly(
 ) -> tuple[ByChoice, Bool[Array, " entries"], Boxes]:
     """Return paths, True for what stays within reach, and boxes about each.
 
-    What soon comes to rest is flown until then alone.
+    A trajectory that soon comes to rest is flown until then alone.
     """
     parts, part_of, place = list[Array](), *np.empty((2, len(u)), dtype=int)
     low, high = np.empty((2, len(u), mission.axes))

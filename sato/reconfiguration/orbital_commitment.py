@@ -5,7 +5,7 @@ each other, and two orbits of free motion after that, if targets keep their dist
 agent that has not committed to anything drifts. Where something comes over both, it offers to evade
 instead (`orbital_evasion`). Agents agree on offers as those that can stop do (`commitment`).
 
-What an agent has committed to may come too close to another's, of an agent that was out of hearing
+A commitment may come too close to another's, of an agent that was out of hearing
 then, or by disturbances. Such an agent has nothing safe to keep, and commits to its plan. A mission
 in which that is so at the start, and plans are not clear of each other either, is refused.
 """
@@ -115,7 +115,7 @@ def _avoid_obstacles(
 ) -> tuple[Offers, dict[int, Detours]]:
     """Allow the plans that are clear of all that an agent knows for longer than what it flies.
 
-    Where neither is clear, list detours. What drifts from these is not compared with others, so
+    Where neither is clear, list detours. Drifts from these are not compared with others, so
     there are none where agents are to be passively safe.
     """
     mission, around, can_evade = context.mission, context.surroundings, offers.drifts is None
@@ -142,7 +142,7 @@ def drift_on(
 ) -> ObstaclePaths | None:
     """Return the motion of all that does not decide over a horizon, and a while after it.
 
-    What comes near later than it takes to get out of its way is for later decisions.
+    Anything that comes near later than it takes to get out of its way is for later decisions.
     """
     horizon, count, h = flights.horizon, flights.pieces, flights.duration
     flown, mission, d = around.fly(context.mission, horizon), context.mission, context.mission.axes

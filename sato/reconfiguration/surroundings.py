@@ -120,7 +120,7 @@ class Surroundings(NamedTuple):
     def escape_steps(self, mission: Reconfiguration, agent: int) -> int:
         """Count the steps in which an agent gets out of the way of what it knows to move.
 
-        0 where nothing does. What it commits to is clear for so long after it has come to rest.
+        0 where nothing does. Its commitment is clear for so long after it has come to rest.
         """
         way = mission.step * np.linalg.norm(self.state[:, mission.axes :], axis=1)
         moves = self.is_known[agent] & (way > AT_REST * mission.least_separation)

@@ -10,7 +10,7 @@ from sato.check.report import Promise, expect_none
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.reconfiguration.allowed_places import measure_distances
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
-from sato.reconfiguration.leg import MAX_LEG_FACTOR
+from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.surroundings import count_escape_steps
 
 BLOCKED_TOLERANCE = 0.05  # ellipsoids are taken for polytopes about them
@@ -123,7 +123,7 @@ def _is_odd_length(record: ReconfigurationRecord, leg: LegRecord) -> bool:
     left = ("braked", "cautious") if record.mission.has_surroundings else ("braked",)
     braked = [k + period + 1 for k, _ in record.events.of_kind(*left) if k < leg.end_index]
     latest = max([max([leg.start_index, *begins]) + steps, *braked]) + 3 * lag
-    most = leg.start_index + MAX_LEG_FACTOR * steps
+    most = leg.start_index + longest_leg(steps, lag)
     gives_up = [k for k, _ in record.events.of_kind("infeasible") if k == leg.end_index == most]
     latest = min(max([latest, *gives_up]), most)
     return bool(leg.alive.any()) and not leg.start_index + steps <= leg.end_index <= latest
