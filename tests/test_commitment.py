@@ -68,8 +68,8 @@ def decisions():
     """Decisions in random missions: arguments of `commit`, and what it returned."""
     taken = []
 
-    def note(context, plans, committed, is_confirmed=False):
-        found = commitment.commit(context, plans, committed, is_confirmed)
+    def note(context, plans, committed):
+        found = commitment.commit(context, plans, committed)
         taken.append(((context, plans, dict(committed)), found))
         return found
 

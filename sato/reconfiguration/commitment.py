@@ -196,19 +196,19 @@ class CommitmentChoice(NamedTuple):
     waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
 
 
-def commit(
-    context: DecisionContext, plans: Plans, committed: Commitments, is_confirmed: bool = False
-) -> CommitmentChoice:
+def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
+
+    Where decisions take time, agents commit once all that they could meet have confirmed it.
 
     Args:
         context: States, graph and time of the agents that decide.
         plans: Their plans.
         committed: Committed trajectories.
-        is_confirmed: True where agents commit once all that they could meet have confirmed it.
     """
     if not plans:
         return CommitmentChoice({}, plans, [], Load.none(len(context.state)))
+    is_confirmed = context.mission.lag_steps > 0
     offers = make_offers(context, plans, committed)
     rank = rank_of(offers, plans)
     choice, load = choose_offers(offers, context.graph, rank, is_confirmed)

@@ -263,7 +263,7 @@ class _Flight:
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
-        memory, blocked, is_confirmed = context.memory, None, self.mission.lag_steps > 0
+        memory, blocked = context.memory, None
         auction = Load.none(len(self.x))
         was_reset = np.zeros(len(self.x), dtype=bool)
         heard = memory.clock
@@ -282,7 +282,7 @@ class _Flight:
             committed = {i: Commitment(now, plan.trajectory.u) for i, plan in planned.items()}
             found = CommitmentChoice(committed, planned, [], Load.none(len(self.x)))
         elif self.mission.is_point_mass:
-            found = commit(context, planned, self.committed, is_confirmed)
+            found = commit(context, planned, self.committed)
         else:
             found = commit_in_orbit(context, planned, self.committed, self.plans, heard)
         if found.cautious:
@@ -326,8 +326,7 @@ class _Flight:
         enters = mission.link.count_rounds(self.clock_delay)
         channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
-        limits = enters, mission.decision_rounds
-        self.pending = Negotiations(outcomes, graph, channel, *limits, have_arrived)
+        self.pending = Negotiations(outcomes, graph, channel, enters, have_arrived)
 
     @property
     def _has_begun(self) -> Array:

@@ -71,17 +71,16 @@ class Negotiations:
     graph: CommunicationGraph  # of all, when they began
     channel: Channel
     enters: Int[Array, " agents"]  # rounds of the network in which they begin, by their clocks
-    rounds: int  # of the network, until each has to have ended
     have_arrived: bool  # all agents, when it began
 
     def finish(self, mission: Reconfiguration, stops: Int[Array, " agents"]) -> "Finished":
         """Find out who gets through.
 
         Args:
-            mission: Its link.
+            mission: Its link, and the rounds that decisions have.
             stops: Round in which each agent falls silent, NEVER if it does not.
         """
-        ends = np.minimum(stops, self.enters + self.rounds)
+        ends = np.minimum(stops, self.enters + mission.decision_rounds)
         synchronizer = Synchronizer(self.channel, ends)
         alive, none = self.graph.alive, np.zeros(len(ends), dtype=int)
         discovered = synchronizer.advance(self.enters, none + 1)
