@@ -102,7 +102,7 @@ def test_a_synchronous_round_takes_one_of_a_perfect_link_more_of_others():
 
 @pytest.mark.parametrize("given", [False, True])
 def test_no_decision_of_two_takes_fewer_rounds_than_the_least(given, monkeypatch):
-    taken, finish = [], network_decision.Negotiations.finish
+    taken, finish = [], network_decision.DecisionsUnderWay.finish
 
     def count(self, mission, stops):
         for outcome in self.outcomes:
@@ -110,7 +110,7 @@ def test_no_decision_of_two_takes_fewer_rounds_than_the_least(given, monkeypatch
             taken.append(int((census + sum(load.rounds for load in outcome.loads)).max()) + 1)
         return finish(self, mission, stops)
 
-    monkeypatch.setattr(network_decision.Negotiations, "finish", count)
+    monkeypatch.setattr(network_decision.DecisionsUnderWay, "finish", count)
     targets = sato.Points([[3.0, 4.0], [0.0, 4.0]], keep_order=True)
     assignment = "given" if given else "auction"
     link = {"link": Link(round=0.001), "comm_radius": 20.0, "assignment": assignment}

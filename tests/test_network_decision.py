@@ -156,7 +156,7 @@ def test_all_arrive_though_all_stop_as_none_gets_through_a_decision(missed, monk
             *("plan.replan_steps=4", "plan.horizon_steps=8", "plan.auction_steps=8"),
         ],
     )
-    finish, count = network_decision.Negotiations.finish, 0
+    finish, count = network_decision.DecisionsUnderWay.finish, 0
 
     def miss(*data):
         nonlocal count
@@ -164,7 +164,7 @@ def test_all_arrive_though_all_stop_as_none_gets_through_a_decision(missed, monk
         late = [np.zeros_like(through) for through in found.through]
         return replace(found, through=late) if count == missed else found
 
-    monkeypatch.setattr(network_decision.Negotiations, "finish", miss)
+    monkeypatch.setattr(network_decision.DecisionsUnderWay, "finish", miss)
     assert sato.run(mission).check().kept
 
 

@@ -80,7 +80,7 @@ def test_commands_of_pages_name_commands_and_keys_that_exist():
     for page, text in TEXTS.items():
         if page.name == "CHANGELOG.md":
             continue
-        blocks = "\n".join(code for _, code in BLOCK.findall(text))
+        blocks = "\n".join(code for _, code in BLOCK.findall(text)).replace("\\\n", "")
         lines = re.findall(r"^sato ([^#|>\n]+)", blocks, flags=re.M)
         for line in lines + re.findall(r"`sato ([^`\n]+)`", BLOCK.sub("", text)):
             words = shlex.split(line)

@@ -41,7 +41,7 @@ class FreeRunning:
         self.step, self.tick = mission.step / speed, mission.link.round / speed  # [s]
         self.presence = Presence(world, fleet, scenario, seed, self.tick)
         rng = world.rng.spawn(1)[0]
-        self._under_way = PacketsUnderWay(world, self.tick, rng)
+        self._packets = PacketsUnderWay(world, self.tick, rng)
         self._beside: dict[int, set[int]] = {}  # vehicles within hearing, as decisions began
         self._reports: dict[int, Status] = {}  # that are not recorded yet
         self._on_time: set[int] = set()  # vehicles that have reported at this instant
@@ -103,7 +103,7 @@ class FreeRunning:
     def _run_until(self, due: float, awaited: set[int]) -> None:
         """Pass on packets until a time, or until all that are awaited have reported."""
         while (left := due - monotonic()) > 0:
-            received = self.fleet.receive(min(left, self._under_way.deliver(self.fleet)))
+            received = self.fleet.receive(min(left, self._packets.deliver(self.fleet)))
             if received is not None:
                 number, value = received
                 self._heard[number] = monotonic()
@@ -116,7 +116,7 @@ class FreeRunning:
         if not world.alive[number]:
             return
         if isinstance(value, FreePacket) and value.until > world.step_index:
-            self._under_way.send(number, value)
+            self._packets.send(number, value)
         elif isinstance(value, Held):
             if value.instant == world.step_index:
                 self._on_time.add(number)

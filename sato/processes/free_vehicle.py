@@ -33,7 +33,7 @@ class FreeVehicle:
         """
         self.vehicle, self.send, self.tick = vehicle, send, tick
         self._measured: Measured | None = None
-        self._begun: Any = None  # negotiation as it began
+        self._begun: Any = None  # decision under way, as it began
         self._until: int | None = None  # instant at which it ends; None where it is given up
         self._inbox: list[Any] = []
         self._listens_until = 0.0  # time at which it knows its neighbors [s]
@@ -84,9 +84,9 @@ class FreeVehicle:
         self._inbox.append(_decode_once(packet.content))
         heard = self._rounds.get(packet.sender, -1)
         self._rounds[packet.sender] = max(heard, packet.round)
-        negotiation = self.vehicle.agent.memory.negotiation
-        assert negotiation is not None
-        agent = negotiation.agent
+        under_way = self.vehicle.agent.memory.under_way
+        assert under_way is not None
+        agent = under_way.agent
         if own and not agent.is_finished and packet.round > heard:
             if min(self._rounds.get(i, -1) for i in own) >= agent.round:
                 self._act()
@@ -94,7 +94,7 @@ class FreeVehicle:
     @property
     def _decides_with(self) -> tuple[int, ...] | None:
         """Neighbors with which it decides; None while it listens for them."""
-        own = self.vehicle.agent.memory.negotiation
+        own = self.vehicle.agent.memory.under_way
         assert own is not None
         is_listening = own.agent.network_round < own.agent.discovery_rounds
         return None if is_listening else tuple(sorted(own.agent.neighbors))
@@ -105,7 +105,7 @@ class FreeVehicle:
         if self._asked is None and self._begun is not None:
             over = self._begun.agent._replace(network_round=self._begun.agent.last_network_round)
             given_up = self._begun._replace(agent=over)
-            agent.memory, self._until = agent.memory._replace(negotiation=given_up), None
+            agent.memory, self._until = agent.memory._replace(under_way=given_up), None
 
     def _begin(self, measured: Measured) -> None:
         agent = self.vehicle.agent
@@ -115,14 +115,14 @@ class FreeVehicle:
         before = begun_at(agent)
         self.vehicle.begin(measured, [])
         self._measured = measured
-        begun = agent.memory.negotiation
+        begun = agent.memory.under_way
         if begun is not None and begun_at(agent) != before:
             listens = begun.agent.discovery_rounds * self.tick + LATE_START
             self._listens_until = monotonic() + listens
             # Not so many rounds, but so long.
             timed = begun.agent._replace(discovery_rounds=NEVER, last_network_round=NEVER)
             begun = begun._replace(agent=timed)
-            agent.memory = agent.memory._replace(negotiation=begun)
+            agent.memory = agent.memory._replace(under_way=begun)
             self._begun, self._until = begun, begun.decision.context.instant
             self._inbox, self._asked, self._has_consent = [], None, False
             self._rounds = {}
@@ -130,11 +130,11 @@ class FreeVehicle:
 
     def _stop_listening(self) -> None:
         memory = self.vehicle.agent.memory
-        assert memory.negotiation is not None
-        agent = memory.negotiation.agent
+        assert memory.under_way is not None
+        agent = memory.under_way.agent
         agent = agent._replace(discovery_rounds=agent.network_round)
-        negotiation = memory.negotiation._replace(agent=agent)
-        self.vehicle.agent.memory = memory._replace(negotiation=negotiation)
+        under_way = memory.under_way._replace(agent=agent)
+        self.vehicle.agent.memory = memory._replace(under_way=under_way)
 
     def _act(self) -> None:
         """Act once, and send a packet."""
@@ -145,15 +145,15 @@ class FreeVehicle:
             self._stop_listening()
         inbox, self._inbox = self._inbox, []
         packet = self.vehicle.act(measured, inbox)
-        negotiation = agent.memory.negotiation
-        assert negotiation is not None
+        under_way = agent.memory.under_way
+        assert under_way is not None
         intended = self.vehicle.intended
-        if negotiation.commits and not self._has_consent:
+        if under_way.commits and not self._has_consent:
             if self._asked is None and intended is not None:
                 self._asked = intended.first_step
                 self.send(Intention(intended, self._decides_with or ()))
             return
-        own = self._decides_with, negotiation.agent.round
+        own = self._decides_with, under_way.agent.round
         head = self.vehicle.number, self._until, *own
         version = *head, packet.commits
         self._age += 1

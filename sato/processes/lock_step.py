@@ -58,7 +58,7 @@ class LockStep:
         each = range(len(measured))
         told = {i: Measured(world.step_index, measured[i], seen.get(i, ())) for i in each}
         if world.mission.lag_steps:
-            return self._negotiate(told)
+            return self._go_on(told)
         while (reports := self._agree(told)) is None:
             pass
         return reports, reports
@@ -74,9 +74,7 @@ class LockStep:
             reports = {i: r.status for i, r in replies.items() if r.status is not None}
         return reports
 
-    def _negotiate(
-        self, told: Mapping[int, Measured]
-    ) -> tuple[dict[int, Status], dict[int, Status]]:
+    def _go_on(self, told: Mapping[int, Measured]) -> tuple[dict[int, Status], dict[int, Status]]:
         """Let all go on with decisions that take time; return their first and last reports."""
         world, mission = self.world, self.world.mission
         if world.leg_step % mission.lag_steps == 0:

@@ -7,7 +7,7 @@ import numpy as np
 from sato.network.flooding import Census
 from sato.processes.messages import Briefing, Measured, Status
 from sato.reconfiguration.agent import Agent
-from sato.reconfiguration.agent_network import Negotiation
+from sato.reconfiguration.agent_network import NetworkDecision
 from sato.reconfiguration.agent_stages import Exchange
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.halfway_stages import Bending, Meeting
@@ -33,7 +33,7 @@ class Vehicle:
             own_leg = {"leg_start": briefing.leg_start, "leg": mission.legs[briefing.leg]}
             self.agent = Agent(mission, number, **own_leg)
         self._is_leg_over, self._calls, self._solves = False, False, 0
-        self._ended: Negotiation | None = None  # at the last instant
+        self._ended: NetworkDecision | None = None  # at the last instant
 
     def begin_leg(self, number: int) -> None:
         """Take up the targets of the legs up to one."""
@@ -44,14 +44,14 @@ class Vehicle:
 
     def begin(self, measured: Measured, inbox: list[Any]) -> Any:
         """Begin a control instant; return the packet to others."""
-        negotiation = self.agent.memory.negotiation
+        under_way = self.agent.memory.under_way
         if self._gives_up(measured.instant):
             self.begin_leg(min(self.leg + 1, len(self.mission.legs) - 1))
         self._ended, self._calls, self._solves = None, False, 0
         time = measured.instant * self.mission.step
         _, packet = self.agent.step(time, measured.state, inbox, measured.seen)
-        if negotiation is not None and begun_at(self.agent) != negotiation.agent.instant:
-            self._ended = negotiation
+        if under_way is not None and begun_at(self.agent) != under_way.agent.instant:
+            self._ended = under_way
         if not self.mission.lag_steps:
             self._calls = _has_called(self.agent)
         return packet
@@ -75,10 +75,10 @@ class Vehicle:
     @property
     def intended(self) -> Commitment | None:
         """Trajectory that is flown from the next decision on, once the vehicle commits to it."""
-        negotiation = self.agent.memory.negotiation
-        if negotiation is None or not negotiation.commits:
+        under_way = self.agent.memory.under_way
+        if under_way is None or not under_way.commits:
             return None
-        return negotiation.decision.committed.get(self.number)
+        return under_way.decision.committed.get(self.number)
 
     def report(self) -> Status:
         """Report for the record."""
@@ -109,8 +109,8 @@ class Vehicle:
 
 def begun_at(agent: Agent) -> int | None:
     """Return the instant at which the decision began that is under way over a network."""
-    negotiation = agent.memory.negotiation
-    return None if negotiation is None else negotiation.agent.instant
+    under_way = agent.memory.under_way
+    return None if under_way is None else under_way.agent.instant
 
 
 def _has_called(agent: Agent) -> bool:

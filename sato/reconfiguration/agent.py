@@ -25,7 +25,7 @@ from sato.reconfiguration.agent_inputs import (
     select_messages,
 )
 from sato.reconfiguration.agent_memory import FlightMemory
-from sato.reconfiguration.agent_network import Negotiation
+from sato.reconfiguration.agent_network import NetworkDecision
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
@@ -139,13 +139,13 @@ class Agent:
         """
         instant = as_instant(self.mission, "time", time)
         received = check_inbox(self.number, inbox, self.mission.link.is_ideal)
-        before = self.memory.negotiation
+        before = self.memory.under_way
         if instant != self.memory.instant:
             self.memory = self._begin_instant(instant, as_state(self.mission, state), seen)
         elif self.mission.link.is_ideal:
             self.memory = self._hear(received)
-        if before is not None and self.memory.negotiation is before:
-            self.memory = self._negotiate(before, received)
+        if before is not None and self.memory.under_way is before:
+            self.memory = self._go_on(before, received)
         assert self.memory.control is not None
         return self.memory.control, self._message
 
@@ -205,9 +205,9 @@ class Agent:
     @property
     def is_finished(self) -> bool:
         """True once the decision of the last instant is made, as far as the agent has a part."""
-        negotiation, decision = self.memory.negotiation, self.memory.decision
-        if negotiation is not None:
-            return negotiation.is_finished
+        under_way, decision = self.memory.under_way, self.memory.decision
+        if under_way is not None:
+            return under_way.is_finished
         return decision is not None and decision.is_finished
 
     @property
@@ -245,7 +245,7 @@ class Agent:
         joins = is_first and flown.leg_start not in starts
         if not is_first:
             self.memory = self._end_step(instant)
-            flown = self._end_negotiation(instant) if mission.lag_steps else self.memory
+            flown = self._end_network_decision(instant) if mission.lag_steps else self.memory
         else:
             alone = np.array([self.number])
             check_stops(mission, alone, state[None], "state", flown.committed, instant)
@@ -288,30 +288,30 @@ class Agent:
         flown = flown._replace(is_calling=False)
         if mission.link.is_ideal:
             return flown._replace(decision=decision)
-        negotiation = Negotiation.begin(mission, instant, decision)
-        return flown._replace(negotiation=negotiation)
+        under_way = NetworkDecision.begin(mission, instant, decision)
+        return flown._replace(under_way=under_way)
 
     def _has_begun(self, flown: FlightMemory) -> bool:
         """Tell whether the clock runs: from the first plan of a leg on, if rounds take time."""
         clock = flown.memory.clock[self.number]
         return bool(not self.mission.lag_steps or flown.plans or clock > 0)
 
-    def _end_negotiation(self, instant: int) -> FlightMemory:
+    def _end_network_decision(self, instant: int) -> FlightMemory:
         """Take up what is decided, if the next decision begins now; or begin the next leg."""
-        flown, negotiation = self.memory, self.memory.negotiation
+        flown, under_way = self.memory, self.memory.under_way
         is_between = flown.leg_start is None or (instant - flown.leg_start) % self.mission.lag_steps
-        if is_between or negotiation is None:
+        if is_between or under_way is None:
             return flown
         events: tuple[Event, ...] = ()
-        if not negotiation.is_finished:
+        if not under_way.is_finished:
             events = ({"kind": "unconfirmed", "agents": [self.number]},)
-        flown = flown._replace(negotiation=None, events=events)
-        if negotiation.commits:
-            flown = flown.take_up(negotiation.decision)
+        flown = flown._replace(under_way=None, events=events)
+        if under_way.commits:
+            flown = flown.take_up(under_way.decision)
         if flown.next_leg is None:
             return flown
         self.memory = flown
-        later = negotiation.decision.later_leg
+        later = under_way.decision.later_leg
         return self._begin_leg(flown.next_leg, instant)._replace(leg_start=later)
 
     def _end_step(self, instant: int) -> FlightMemory:
@@ -358,10 +358,10 @@ class Agent:
             flown = flown._replace(control=self._control(flown))
         return flown
 
-    def _negotiate(self, before: Negotiation, inbox: Sequence[AgentPacket]) -> FlightMemory:
+    def _go_on(self, before: NetworkDecision, inbox: Sequence[AgentPacket]) -> FlightMemory:
         """Act on the packets that have arrived; commit at once where messages take no time."""
         after = before.update(inbox)
-        flown = self.memory._replace(negotiation=after)
+        flown = self.memory._replace(under_way=after)
         if self.mission.lag_steps or before.is_finished or not after.is_finished:
             return flown
         flown = flown.take_up(after.decision)
@@ -370,8 +370,8 @@ class Agent:
     @property
     def _message(self) -> AgentMessage | AgentPacket | None:
         flown = self.memory
-        if flown.negotiation is not None:
-            return flown.negotiation.message
+        if flown.under_way is not None:
+            return flown.under_way.message
         if flown.decision is None:
             return None
         assert flown.instant is not None

@@ -7,7 +7,7 @@ from numpy import ndarray as Array
 
 from sato.reconfiguration import estimator
 from sato.reconfiguration.agent_decision import Decision
-from sato.reconfiguration.agent_network import Negotiation
+from sato.reconfiguration.agent_network import NetworkDecision
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.plan import Plans
 from sato.reconfiguration.state import AgentMemory, Event
@@ -28,7 +28,7 @@ class FlightMemory(NamedTuple):
     spent: float = 0.0  # fuel [m/s], or energy [m²/s³]
     control: Float[Array, " d"] | None = None  # held now [m/s²]
     decision: Decision | None = None  # of the last instant, where messages are never lost
-    negotiation: Negotiation | None = None  # the same over other networks
+    under_way: NetworkDecision | None = None  # decision over other networks
     is_calling: bool = False  # for an auction, when it decides next
     next_leg: Leg | None = None  # that begins with the next decision
     events: tuple[Event, ...] = ()  # of the decision that it took up last
@@ -39,7 +39,7 @@ class FlightMemory(NamedTuple):
     @property
     def last_decision(self) -> Decision | None:
         """The decision under way, or made last."""
-        return self.negotiation.decision if self.negotiation else self.decision
+        return self.under_way.decision if self.under_way else self.decision
 
     def take_up(self, decision: Decision) -> "FlightMemory":
         """Take up what the agent has decided."""

@@ -15,14 +15,14 @@ from sato.reconfiguration.agent_inputs import AgentPacket
 from sato.reconfiguration.mission import Reconfiguration
 
 
-class Negotiation(NamedTuple):
+class NetworkDecision(NamedTuple):
     """Memory of an agent while it decides over a network."""
 
     agent: SynchronousAgent
     committed: frozenset[int] = frozenset()  # agents that are known to commit
 
     @classmethod
-    def begin(cls, mission: Reconfiguration, instant: int, decision: Decision) -> "Negotiation":
+    def begin(cls, mission: Reconfiguration, instant: int, decision: Decision) -> "NetworkDecision":
         """Begin, in round 0 of the network."""
         link, last = mission.link, NEVER
         if mission.lag_steps:
@@ -51,10 +51,10 @@ class Negotiation(NamedTuple):
         """Packet to send in this round."""
         return AgentPacket(self.agent.packet, self.commits)
 
-    def update(self, inbox: Sequence[AgentPacket]) -> "Negotiation":
+    def update(self, inbox: Sequence[AgentPacket]) -> "NetworkDecision":
         """Act on all packets that have arrived in a round of the network."""
         if self.agent.has_expired:
             return self
         current = [each for each in inbox if each.packet.instant == self.agent.instant]
         committed = self.committed.union(each.sender for each in current if each.commits)
-        return Negotiation(self.agent.update([each.packet for each in current]), committed)
+        return NetworkDecision(self.agent.update([each.packet for each in current]), committed)

@@ -21,7 +21,7 @@ from sato.reconfiguration.first_commitment import Traffic, find_first_commitment
 from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.network_decision import (
-    Negotiations,
+    DecisionsUnderWay,
     Outcome,
     foresee,
     stop_at_once,
@@ -82,7 +82,7 @@ class _Flight:
         self.sees_new = np.zeros(len(m), dtype=bool)  # since the last decisions began
         self.waiting: list[int] = []  # agents that join as soon as there is room
         self.called: list[int] = []  # agents that call for an auction when they decide next
-        self.pending: Negotiations | None = None  # decisions that are under way
+        self.pending: DecisionsUnderWay | None = None  # decisions that are under way
         self.lost_at: dict[int, int] = {}  # instant at which each agent was lost
         self.link_rng = rng.spawn(1)[0]  # draws losses and delays of messages, and clocks
         # Clocks are behind by a time, and what agents fly by whole steps of it.
@@ -326,7 +326,7 @@ class _Flight:
         enters = mission.link.count_rounds(self.clock_delay)
         channel = Channel(mission.link, graph, self.link_rng.spawn(1)[0])
         have_arrived = bool(self._have_arrived(context.step_index).all()) and not outcomes
-        self.pending = Negotiations(outcomes, graph, channel, enters, have_arrived)
+        self.pending = DecisionsUnderWay(outcomes, graph, channel, enters, have_arrived)
 
     @property
     def _has_begun(self) -> Array:

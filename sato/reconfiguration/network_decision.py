@@ -64,7 +64,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Negotiations:
+class DecisionsUnderWay:
     """Decisions of an instant, while they are under way."""
 
     outcomes: list[Outcome]
