@@ -2,6 +2,7 @@
 
 import os
 import signal
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from threading import Timer
@@ -142,29 +143,29 @@ def test_vehicle_gives_up_where_it_hears_one_that_does_not_hear_it():
     assert not kind_of(sent, Intention)
 
 
-def test_actuators_take_nothing_for_an_instant_that_has_come():
-    mission = mission_of(2)
-    rng = np.random.default_rng(SEED)
+@contextmanager
+def actuators(count):
+    """A flight whose vehicles have no processes, its world, and what it sends to them."""
+    mission, rng, sent = mission_of(count), np.random.default_rng(SEED), []
     with Fleet() as fleet:
         world = World(mission.draw(rng), rng)
-        flight, sent = FreeRunning(world, fleet, mission.to_toml(), SEED), []
         fleet.send = lambda number, value: sent.append(value)
-        commitment = sato.reconfiguration.stopping.Commitment(2, np.ones((3, 2)))
+        yield FreeRunning(world, fleet, mission.to_toml(), SEED), world, sent
+
+
+def test_actuators_take_nothing_for_an_instant_that_has_come():
+    commitment = sato.reconfiguration.stopping.Commitment(2, np.ones((3, 2)))
+    with actuators(2) as (flight, world, sent):
         for world.step_index in (1, 2):
             flight._take_in(0, Intention(commitment, (1,)))
     assert sent == [Consent(2)]
 
 
 def test_actuators_take_nothing_that_was_decided_without_a_neighbor():
-    mission = mission_of(3)
-    rng = np.random.default_rng(SEED)
-    with Fleet() as fleet:
-        world = World(mission.draw(rng), rng)
-        flight, sent = FreeRunning(world, fleet, mission.to_toml(), SEED), []
-        fleet.send = lambda number, value: sent.append(value)
+    commitment = sato.reconfiguration.stopping.Commitment(4, np.ones((3, 2)))
+    with actuators(3) as (flight, world, sent):
         flight._ask(world.x)
         sent.clear()
-        commitment = sato.reconfiguration.stopping.Commitment(4, np.ones((3, 2)))
         for neighbors in ((1,), (1, 2)):
             flight._take_in(0, Intention(commitment, neighbors))
             assert sent == [Consent(4)] * (len(neighbors) - 1)
