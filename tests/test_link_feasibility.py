@@ -130,8 +130,8 @@ def test_two_whose_clocks_differ_without_a_warning_agree(skew):
     for seed in range(8):
         frames = fly(mission, seed)
         assert not any(e["kind"] == "unconfirmed" for f in frames for e in f.events)
-    own = own, {"comm_radius": 400.0, "link": Link(round=0.001, skew=2.5), **periods}
-    (warning,) = make_mission(*own[0], **own[1]).warnings()
+    apart = Link(round=0.001, skew=2.5)
+    (warning,) = make_mission(*own, comm_radius=400.0, link=apart, **periods).warnings()
     assert "has 0 rounds" in warning and "link.skew_s = 1.9" in warning
 
 

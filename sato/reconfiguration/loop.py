@@ -120,7 +120,8 @@ class _Flight:
             graph, measured = self.make_graph(), measure(mission, self.x, self.rng)
             self.estimate = estimator.update(mission, self.estimate, measured)
             known = self.estimate.reference
-            seen_by = self._look_around(k)
+            decides = not mission.lag_steps or k % mission.replan_steps == 0
+            seen_by = self._look_around(decides)
             time = self.step_index * mission.step
             rest = self.memory, k, time, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
@@ -131,14 +132,14 @@ class _Flight:
             if alarmed:
                 self.events.append({"kind": "closed", "agents": alarmed})
             self.called += [*joined, *alarmed]
-            if not mission.lag_steps or k % mission.replan_steps == 0:
+            if decides:
                 self.loads[0] = count_census(context)
             if not mission.lag_steps:
                 for deciding, bids in self._schedule_decisions(context, self.called):
                     own = context._replace(graph=deciding, memory=self.memory)
                     self._take_up(self._decide(own, bids))
                 self.called = []
-            elif k % mission.replan_steps == 0:
+            elif decides:
                 self._begin_decisions(context)
             planned = controls_at(self.committed, self.step_index, self.alive, mission)
             control = add_feedback(mission, planned, known, self.estimate.mean)
@@ -153,18 +154,18 @@ class _Flight:
         ended = {"leg": number, "target": held, "believed": believed, "component": component}
         self._note("leg_end", self.alive, **ended)
 
-    def _look_around(self, k: int) -> list[int]:
+    def _look_around(self, decides: bool) -> list[int]:
         """Let agents see what is near; return those whose plans were made without some of it.
 
         Over a network, they take up a plan that was made before they saw what has come since.
         """
-        before, mission = self.surroundings, self.mission
+        before = self.surroundings
         if before is None:
             return []
-        self.surroundings = before.seen_from(mission, self.x)
+        self.surroundings = before.seen_from(self.mission, self.x)
         is_new = self.alive & (self.surroundings.is_known & ~before.is_known).any(axis=1)
         self.sees_new |= is_new
-        if not mission.lag_steps or k % mission.replan_steps == 0:
+        if decides:
             is_new, self.sees_new = self.sees_new, np.zeros_like(is_new)
         return np.flatnonzero(is_new & self.alive).tolist()
 
