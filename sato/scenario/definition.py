@@ -20,6 +20,7 @@ from annotated_types import Ge, Gt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
+from dynamics.inputs import as_array as as_array
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, join_names
@@ -241,30 +242,6 @@ EACH = WrapValidator(_check_each)  # last mark of a field that takes a list of v
 def is_auto(value: Any) -> bool:
     """Tell whether a value is still to be computed."""
     return bool(value == "auto")
-
-
-def as_array(value: Any, ndim: int) -> Array:
-    """Convert to a read-only array of finite doubles.
-
-    Raises:
-        InputError: It is masked, complex or not numeric, has other axes, or is not finite.
-    """
-    if isinstance(value, np.ma.MaskedArray):
-        raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
-    try:
-        array = np.array(value, order="C")
-    except ValueError as error:
-        raise InputError("", "must have rows of one length") from error
-    if array.dtype.kind not in "iuf":
-        raise InputError("", f"must be an array of real numbers, got dtype {array.dtype}")
-    if array.ndim != ndim or array.size == 0:
-        raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
-    array = array.astype(float)
-    if not np.isfinite(array).all():
-        where = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise InputError("", f"must be finite, got {array[tuple(where)]} at {where}")
-    array.flags.writeable = False
-    return array
 
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:

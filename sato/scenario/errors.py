@@ -6,6 +6,10 @@ from difflib import get_close_matches
 from math import ceil, floor, log10
 from typing import Any
 
+from dynamics.inputs import InputError as InputError
+from dynamics.inputs import format_value as format_value
+from dynamics.inputs import join_names as join_names
+
 PLAIN_WORDS = {
     "a valid integer": "an integer",
     "a valid ": "a ",
@@ -17,59 +21,14 @@ PLAIN_WORDS = {
 }
 
 
-class InputError(ValueError):
-    """A mission that cannot be flown; the message names the key and a value that would do.
-
-    Args:
-        key: Key of the scenario file, with its tables as far as they are known.
-        reason: What is wrong, the value given, and what would do.
-    """
-
-    def __init__(self, key: str, reason: str) -> None:
-        super().__init__(f"{key}: {reason}" if key else reason)
-        self.key = key
-        self.reason = reason
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle by the arguments, so that worker processes can raise it."""
-        return type(self), (self.key, self.reason)
-
-    def inside(self, table: str) -> "InputError":
-        """Return the same error of a key inside a table."""
-        return InputError(".".join(filter(None, (table, self.key))), self.reason)
-
-
 class ScenarioError(ValueError):
     """A scenario that cannot be flown; the message names the file and the key."""
-
-
-def join_names(names: Iterable[Any], last: str = "or") -> str:
-    """Join names in a sentence: "a, b or c"."""
-    *most, end = [str(name) for name in names]
-    return f"{', '.join(most)} {last} {end}" if most else end
 
 
 def closest_name(name: str, known: Iterable[str]) -> str | None:
     """Find the known name that is spelled most alike."""
     close = get_close_matches(name, list(known), n=1, cutoff=0.6)
     return close[0] if close else None
-
-
-def format_value(value: object) -> str:
-    """Write a value as TOML does, cut short where it is long."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"' if len(value) <= 40 else f'"{value[:40]}…"'
-    if isinstance(value, dict):
-        return "a table"
-    if isinstance(value, list | tuple):
-        return "a list"
-    if isinstance(value, float):
-        return f"{value:.1f}" if value.is_integer() and abs(value) < 1e6 else f"{value:.6g}"
-    if isinstance(value, int) and abs(value) >= 10**30:
-        return "an integer of more than 30 digits"
-    return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"
 
 
 def round_up(value: float) -> str:
