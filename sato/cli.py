@@ -115,11 +115,10 @@ def run(
     save_somewhere(flown, folder)
     if is_old and not quiet:
         echo(f"sato: {folder}: the run that was there is overwritten", err=True)
-    summary = flown.summary
     if not quiet:
-        print_summary(summary, folder)
-    is_success = summary.get("success") and summary.get("broken") == []
-    raise Exit(EXIT_OK if is_success and "stopped" not in summary else EXIT_FAILED)
+        echo(flown.report.line)
+        print_summary(flown.summary, folder)
+    raise Exit(EXIT_OK if flown.report.kept else EXIT_FAILED)
 
 
 @app.command()
@@ -138,16 +137,20 @@ def check(
     folder: RunFolder,
     as_json: Annotated[bool, Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Check a run by recomputing it from its file alone; exit 1 if a promise is broken."""
+    """Check a run by recomputing it from its file alone; exit 1 unless all is kept and reached."""
     from sato.console import print_report, progress_bar
     from sato.run_data import json_default
 
     with progress_bar("recomputing the run"):
-        report = sato.load(folder).check()
+        loaded = sato.load(folder)
+        report = loaded.report
     if as_json:
         echo(json.dumps(report.as_dict(), indent=2, default=json_default))
     else:
+        echo(report.line)
         print_report(report)
+    if report.failure:
+        loaded.check()  # raises what it failed by
     raise Exit(EXIT_OK if report.kept else EXIT_FAILED)
 
 

@@ -107,7 +107,7 @@ def print_report(report: Report) -> None:
     table = Table("promise", "kept", "value", "limit", "meaning")
     for promise in report.promises:
         value, limit = promise.value, promise.tolerance
-        shown = (format_value(value, limit), format_value(limit), promise.message)
+        shown = (format_value(value, limit), format_value(limit), promise.text)
         table.add_row(promise.name, "yes" if promise.kept else "NO", *shown)
     for name in report.skipped:
         reason = "skipped: it needs the mission, sato.load(path, mission=…)"

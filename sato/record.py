@@ -161,7 +161,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
 
 
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """Begin the summary of a run that is not checked yet."""
+    """Begin the summary of a run, with what no check gives."""
     summary = {"system": attributes["system"], "scenario": attributes["name"]}
     for name in ("seed", "version", "wall_s", "peak_memory_mib", "stopped"):
         if name in attributes:

@@ -5,7 +5,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from importlib.metadata import version
@@ -19,7 +19,7 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from sato import record
 from sato.check.common import EventLog
-from sato.check.report import Report
+from sato.check.report import Promise, Report, Verdict
 from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
@@ -46,7 +46,7 @@ class Run:
 
     Args:
         recorded: Arrays and attributes of the run file.
-        summary: Entries of `summary.json`.
+        claimed: Entries of `summary.json`, which the check compares with the data.
         mission: Not drawn; None where a file holds a model of the user's own.
 
     Raises:
@@ -54,7 +54,7 @@ class Run:
     """
 
     recorded: RunData
-    summary: dict[str, Any]
+    claimed: Mapping[str, Any]
     mission: Any | None = None
 
     def __post_init__(self) -> None:
@@ -93,7 +93,33 @@ class Run:
         """Check the run by recomputing what its data and its summary say."""
         from sato.verify import verify_run
 
-        return verify_run(self.recorded, self.mission, self.summary)
+        return verify_run(self.recorded, self.mission, self.claimed)
+
+    @cached_property
+    def report(self) -> Report:
+        """Report of the first check; one that failed says so, and is never a success."""
+        try:
+            return self.check()
+        except record.RunFileError as error:
+            return Report((Promise("file", False, 1.0, 0.0, str(error)),), {})
+        except Exception as error:
+            return Report((), {}, failure=f"{type(error).__name__}: {error}")
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Entries of `summary.json`, recomputed by `report`; never those that a file claims.
+
+        Without the mission, entries that need it are claimed ones, but for success and verdict.
+        """
+        first = record.initial_summary(self.recorded.attrs)
+        return (first if self.mission is not None else {**self.claimed, **first}) | (
+            self.report.entries
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict of `report`: "kept", "not reached", "broken" or "unchecked"."""
+        return self.report.verdict
 
     def figures(self) -> dict[str, "matplotlib.figure.Figure"]:
         """Draw the figures of the run, by name."""
@@ -147,10 +173,11 @@ class Run:
         return Path(directory)
 
     def __repr__(self) -> str:
-        """Show the summary, an entry a line."""
+        """Show the verdict, and the summary, an entry a line."""
         rows = summary_rows(self.summary)
         width = max((len(label) for label, _ in rows), default=0)
-        return "\n".join(["Run", *(f"  {label:{width}}  {text}" for label, text in rows)])
+        lines = (f"  {label:{width}}  {text}" for label, text in rows)
+        return "\n".join([self.report.line, *lines])
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>"
@@ -217,7 +244,7 @@ def run(
             origin=origin.to_json(),
             stopped=stopped,
         )
-        return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))
+        return _check_flown(Run(data, record.initial_summary(data.attrs), mission))
 
 
 def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
@@ -288,20 +315,14 @@ def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, A
         raise
 
 
-def _add_check_results(run: Run) -> Run:
-    summary = dict(run.summary)
+def _check_flown(run: Run) -> Run:
     # Neither Ctrl-C nor a fault in a check may lose what was flown.
     try:
-        report = run.check()
+        if run.report.failure:
+            warnings.warn(f"the run could not be checked: {run.report.failure}", stacklevel=3)
     except KeyboardInterrupt:
-        pass
-    except Exception as error:
-        summary["check_failed"] = f"{type(error).__name__}: {error}"
-        warnings.warn(f"the run could not be checked: {error}", stacklevel=3)
-    else:
-        summary |= report.summary
-        summary["broken"] = [promise.name for promise in report.broken]
-    return replace(run, summary=summary)
+        vars(run)["report"] = Report((), {}, failure="interrupted")
+    return run
 
 
 def _collect_frames(

@@ -39,12 +39,11 @@ def format_label(name: str, part: str = "") -> str:
     return ", ".join(text for text in (label, part, unit) if text)
 
 
-def format_value(value: object, compared_to: float | None = None) -> str:
+def format_value(value: object, compared_to: float | None = None, digits: int = 4) -> str:
     """Format a value, with as many digits as tell it from the one that it is compared to."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        digits = 4
         if compared_to is not None and compared_to != value:
             while digits < 16 and f"{value:.{digits}g}" == f"{compared_to:.{digits}g}":
                 digits += 1

@@ -71,7 +71,8 @@ def _check_without_mission(data: RunData) -> Report:
     record: RunRecord[None, Any, Any] = RunRecord.from_data(data, None)
     frames = record.frames
     promises = [
-        common.check_finite(frames.alive, frames.position, frames.velocity),
+        common.check_complete(data.attrs),
+        common.check_finite(frames.alive, frames.position, frames.velocity, time=frames.time),
         common.check_alive(frames.alive, record.events),
     ]
     if "comm_radius_m" in data.attrs:
@@ -85,11 +86,14 @@ def _check_without_mission(data: RunData) -> Report:
 def _check_summary(
     data: RunData, summary: Mapping[str, Any], report: Report, is_unaltered: bool
 ) -> Promise:
-    first = initial_summary(data.attrs)
-    if not _differs(summary, first):
+    first, unchecked = initial_summary(data.attrs), {"verdict": "unchecked", "success": False}
+    claims = {name: value for name, value in summary.items() if name != "check_failed"}
+    if not _differs(claims, first) or not _differs(claims, first | unchecked):
         return expect_none("summary", 0, "results in the summary, which is of no check yet")
-    expected = first | report.summary | {"broken": [promise.name for promise in report.broken]}
-    names = [name for name in {**expected, **summary} if is_unaltered or name != "broken"]
+    expected = first | report.entries
+    # Of a run that was altered, these tell it now, and nothing of it then.
+    judged = () if is_unaltered else ("broken", "verdict", "success")
+    names = [name for name in {**expected, **summary} if name not in judged]
     both = expected.keys() & summary.keys()
     wrong = [n for n in names if n not in both or _differs(summary[n], expected[n])]
     text = "entries of summary.json that are missing or differ from the data"

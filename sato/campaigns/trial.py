@@ -27,6 +27,8 @@ from sato.scenario.file import Mission, from_dict
 THREAD_VARIABLES = [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")]
 MOST_CELLS = 1000  # of a function of the user's; SQLite takes 2,000 columns
 ERROR_LENGTH = 2000  # of the end of a traceback that is kept
+# Exit of a run by its verdict, which is "unchecked" where the check failed.
+EXITS = {"kept": "reached", "not reached": "not reached", "broken": "broken", "unchecked": "error"}
 
 Source = str | dict[str, Any] | Mission  # a function, the tables of a scenario, or a mission
 # Cells of a row by column; summary and further columns are dicts of them.
@@ -125,7 +127,8 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
     except (InputError, ScenarioError) as error:
         outcome |= {"exit": "refused", "error": str(error)}
         return
-    outcome |= {"exit": judge(flown.summary), "error": _reason(flown.summary)}
+    report = flown.report
+    outcome |= {"exit": EXITS[report.verdict], "error": None if report.kept else report.line}
     outcome["summary"] = flatten(flown.summary)
     if trial.columns:
         outcome["columns"] = more_columns(trial.columns, flown)
@@ -134,15 +137,6 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
         except OSError as error:
             warnings.warn(f"the run could not be kept: {error}", stacklevel=1)
-
-
-def judge(summary: Mapping[str, Any]) -> str:
-    """Say how a run ended: "reached", "broken", "not reached", or "error" in its check."""
-    if "check_failed" in summary:
-        return "error"
-    if summary.get("broken"):
-        return "broken"
-    return "reached" if summary.get("success") and "stopped" not in summary else "not reached"
 
 
 def flatten(summary: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,12 +183,6 @@ def one_thread_each() -> Iterator[None]:
 def last_lines() -> str:
     """Return the end of the traceback of the error that is being handled."""
     return traceback.format_exc()[-ERROR_LENGTH:]
-
-
-def _reason(summary: Mapping[str, Any]) -> str | None:
-    if summary.get("broken"):
-        return f"broken: {', '.join(summary['broken'])}"
-    return summary.get("check_failed") or summary.get("stopped")
 
 
 def more_columns(function: str, flown: Any) -> Outcome:

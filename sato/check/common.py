@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from numpy.typing import ArrayLike
 
 from dynamics.trajectory_geometry import near_balls, sampled_separations
-from sato.check.report import Promise, expect_none, expect_small_error
+from sato.check.report import Promise, expect_apart, expect_none, expect_small_error
 from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.run_data import RunData
@@ -75,6 +76,11 @@ class ClosestPair(NamedTuple):
     distance: float  # [m]; infinite where no two are alive at a time
     instant: int  # before it
     pair: tuple[int, int]
+    fraction: float = 0.0  # of the way to the next instant
+
+    def time(self, instants: Float[Array, " instants"]) -> float:
+        """Return its time [s], by those of all instants."""
+        return float(np.interp(self.instant + self.fraction, range(len(instants)), instants))
 
 
 def find_closest_approach(position: Float[Array, "instants agents d"], alive: Alive) -> ClosestPair:
@@ -101,9 +107,11 @@ def find_closest_approach(position: Float[Array, "instants agents d"], alive: Al
     motion[~(moves[k, i] & moves[k, j])] = 0.0
     far = (motion**2).sum(axis=1)
     share = -(gap * motion).sum(axis=1) / np.where(far > 0, far, 1.0)
-    distance = np.linalg.norm(gap + np.clip(share, 0.0, 1.0)[:, None] * motion, axis=1)
+    share = np.clip(share, 0.0, 1.0)
+    distance = np.linalg.norm(gap + share[:, None] * motion, axis=1)
     best = int(distance.argmin())
-    return ClosestPair(float(distance[best]), int(k[best]), (int(i[best]), int(j[best])))
+    pair = int(i[best]), int(j[best])
+    return ClosestPair(float(distance[best]), int(k[best]), pair, float(share[best]))
 
 
 def common_summary(attributes: Mapping[str, Any], alive: Alive) -> dict[str, Any]:
@@ -133,7 +141,10 @@ def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
     """Check that a flight was completed, and that nothing is named that its record is lacking."""
     reasons = [text for text in (lacking, incomplete_reason(attributes)) if text]
     text = "; ".join(reasons) or "everything was flown and recorded"
-    return Promise("complete", not reasons, float(len(reasons)), 0.0, text)
+    promise = Promise("complete", not reasons, float(len(reasons)), 0.0, text)
+    # A flight that says that it was stopped is true to its word; one that hides it is not.
+    is_honest = bool(incomplete_reason(attributes)) or not lacking
+    return promise._replace(kind="aim") if is_honest else promise
 
 
 def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, Any]) -> Promise:
@@ -160,11 +171,14 @@ def check_times(log: EventLog, step: float) -> Promise:
     return promise._replace(kept=False, tolerance=0.0, message=text)
 
 
-def check_finite(alive: Alive, *states: Float[Array, "instants agents ..."]) -> Promise:
+def check_finite(
+    alive: Alive, *states: Float[Array, "instants agents ..."], time: ArrayLike = ()
+) -> Promise:
     """Check that live agents have finite states at all instants."""
     rows = [np.isfinite(values).reshape(*alive.shape, -1).all(axis=2) for values in states]
     wrong = [alive & ~row for row in rows]
-    return expect_none("numbers", wrong, "states of live agents that are not finite")
+    text = "states of live agents that are not finite"
+    return expect_none("numbers", np.sum(wrong, axis=0), text, time)
 
 
 def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -> Promise:
@@ -176,10 +190,11 @@ def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -
     found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
     if schedule is None:
         schedule = Schedule.from_events(alive[0], len(alive), found)
-    odd = count_differences(found, schedule.events)
-    odd += int((schedule.alive != alive).sum())
     text = "instants or events of an agent alive or not against the scenario"
-    return expect_none("alive", odd, text)
+    odd = schedule.alive != alive
+    if odd.any():
+        return expect_none("alive", odd, text, log.time)
+    return expect_none("alive", count_differences(found, schedule.events), text)
 
 
 def count_differences(found: Iterable[object], expected: Iterable[object]) -> int:
@@ -196,4 +211,4 @@ def check_components(frames: Frame, radius: float) -> Promise:
         found = CommunicationGraph.from_positions(position, radius, alive).component
         wrong.append(canonicalize_labels(found) != canonicalize_labels(labels))
     text = "labels that positions and communication radius do not give"
-    return expect_none("component", wrong, text)
+    return expect_none("component", wrong, text, np.asarray(frames.time))

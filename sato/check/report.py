@@ -1,43 +1,103 @@
-"""Report of a check: the promises of a run, each kept or broken."""
+"""Report of a check: the promises of a run, and the verdict on it, of which a line tells."""
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sato.scenario.errors import join_names
+from sato.summary import format_value
+
+Verdict = Literal["kept", "not reached", "broken", "unchecked"]
+LISTED = 3  # promises that are named in a line beside the first
+
 
 class Promise(NamedTuple):
-    """Property that a run must have, and the value that was found."""
+    """Property that a run must have, and the value that was found.
+
+    Those of safety are named first where several are broken. A run that does not have what it
+    aims at, such as a leg that is reached, breaks no other promise by that.
+    """
 
     name: str
     kept: bool
     value: float  # worst violation, or the quantity itself
     tolerance: float  # largest value that keeps the promise
     message: str
+    agents: tuple[int, ...] = ()  # of the value; none where they are not known
+    time: float | None = None  # of the value [s]
+    kind: Literal["record", "safety", "aim"] = "record"
+
+    @property
+    def text(self) -> str:
+        """Message with agents and time: "0.053 m < 1 m, agents 0 and 1 at 17.3 s"."""
+        plural = "s" * (len(self.agents) > 1)
+        where = [f"agent{plural} {join_names(self.agents, 'and')}"] if self.agents else []
+        where += [] if self.time is None else [f"at {self.time:.6g} s"]
+        return ", ".join(filter(None, [self.message, " ".join(where)]))
 
 
-def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
+def expect_none(name: str, violations: ArrayLike, text: str, time: ArrayLike = ()) -> Promise:
     """Promise that there are no violations, described in the plural.
 
-    Violations are a number, or an array that is true at each.
+    Violations are a number, or an array that is true at each. Of an array by instant and agent,
+    with the times of the instants [s], the promise tells the first agent and time.
     """
     count = int(np.sum(violations))
-    return Promise(name, not count, float(count), 0.0, f"{count or 'no'} {text}")
+    promise = Promise(name, not count, float(count), 0.0, f"{count or 'no'} {text}")
+    return _locate(promise, np.not_equal(violations, 0), time) if count else promise
 
 
-def expect_small_error(name: str, errors: ArrayLike, tolerance: float, text: str) -> Promise:
-    """Promise that the largest of all errors is within its tolerance."""
+def expect_small_error(
+    name: str, errors: ArrayLike, tolerance: float, text: str, time: ArrayLike = ()
+) -> Promise:
+    """Promise that the largest of all errors is within its tolerance.
+
+    Of an array by instant and agent, with times, the promise tells the agent and time.
+    """
     worst = largest(errors)
-    return Promise(name, bool(worst <= tolerance), worst, tolerance, f"{worst:.3g} {text}")
+    is_kept = bool(worst <= tolerance)
+    message = f"{worst:.3g} {text}" + f", {tolerance:.3g} allowed" * (not is_kept)
+    return _locate(Promise(name, is_kept, worst, tolerance, message), errors, time)
 
 
-def expect_below(name: str, values: ArrayLike, limit: float, relative: float, text: str) -> Promise:
-    """Promise that a quantity does not exceed its limit, but for a relative tolerance."""
+def expect_below(
+    name: str, values: ArrayLike, limit: float, relative: float, text: str, time: ArrayLike = ()
+) -> Promise:
+    """Promise that a quantity does not exceed its limit, but for a relative tolerance.
+
+    Of an array by instant and agent, with times, the promise tells the agent and time.
+    """
     most = largest(values)
-    text = f"{most:.6g} {text}, {limit:.6g} allowed"
-    return Promise(name, bool(most <= limit * (1 + relative)), most, limit, text)
+    text = f"{format_value(most, limit, 6)} {text}, {limit:.6g} allowed"
+    is_kept = bool(most <= limit * (1 + relative))
+    return _locate(Promise(name, is_kept, most, limit, text), values, time)
+
+
+def expect_apart(
+    distance: float, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
+    name: str = "separation", unit: str = "m", text: str = "",
+) -> Promise:  # fmt: skip
+    """Promise that a distance [m], which is known to an error, is as large as it must be.
+
+    Args:
+        distance: Least distance.
+        allowed: Least distance that keeps the promise.
+        agents: Agents that are so near.
+        time: Time at which they are [s].
+        error: Largest error of the distance.
+        name: Name of the promise.
+        unit: Unit of the distances, or what they are relative to.
+        text: Remark.
+    """
+    is_kept, known = bool(distance - error >= allowed), f" − {error:.1g}" * (error > 0)
+    sign = "≥" if is_kept else "<"
+    limit = f"{format_value(allowed, digits=6)} {unit}"
+    message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"
+    place = (agents, time) if isfinite(distance) else ((), None)
+    return Promise(name, is_kept, distance, allowed, message, *place, "safety")
 
 
 def largest(*errors: ArrayLike) -> float:
@@ -45,32 +105,101 @@ def largest(*errors: ArrayLike) -> float:
     return float(np.max([np.max(np.abs(each), initial=0.0) for each in errors]))
 
 
+def _locate(promise: Promise, values: ArrayLike, time: ArrayLike) -> Promise:
+    sizes, times = np.abs(values), np.asarray(time)
+    if not (times.size and sizes.size):
+        return promise
+    place = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    agents = tuple(map(int, place[1:2]))
+    return promise._replace(agents=agents, time=float(times[place[0]]))
+
+
 @dataclass(frozen=True)
 class Report:
-    """Promises of a run, and the summary that was recomputed with them."""
+    """Promises of a run, and the summary that was recomputed with them.
+
+    The summary always has the entries `verdict` and `success`, by all promises; a summary that is
+    given with `success` false makes the verdict "not reached" at best.
+    """
 
     promises: tuple[Promise, ...]
     summary: dict[str, Any]  # as in summary.json, without time and memory
     skipped: tuple[str, ...] = ()  # promises that could not be recomputed
+    failure: str = ""  # fault that ended the check
+
+    def __post_init__(self) -> None:
+        """Write the verdict into the summary, in place of what it says of success."""
+        entries = {**self.summary, "verdict": self.verdict, "success": self.kept}
+        object.__setattr__(self, "summary", entries)
 
     @property
     def broken(self) -> tuple[Promise, ...]:
-        """Promises that were not kept."""
+        """Promises that do not hold, of aims too."""
         return tuple(promise for promise in self.promises if not promise.kept)
 
-    def __str__(self) -> str:
-        """Tell how many promises were kept, and which were not."""
-        kept = f"{len(self.promises) - len(self.broken)} of {len(self.promises)} promises kept"
-        return "\n".join([kept, *(f"{each.name} broken: {each.message}" for each in self.broken)])
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict: "kept" where all promises hold, and none was skipped.
+
+        "broken" where one does not hold, else "not reached" where the run did not reach what it
+        aimed at or was stopped, else "unchecked" where the check skipped promises, or failed.
+        """
+        kinds = {promise.kind for promise in self.broken}
+        if kinds - {"aim"}:
+            return "broken"
+        if kinds:
+            return "not reached"
+        if self.skipped or self.failure:
+            return "unchecked"
+        return "kept" if self.summary.get("success", True) else "not reached"
 
     @property
     def kept(self) -> bool:
-        """True where every promise was kept."""
-        return not self.broken
+        """True where the verdict is "kept"."""
+        return self.verdict == "kept"
+
+    @property
+    def line(self) -> str:
+        """Verdict as one line: "BROKEN: separation, 0.053 m < 1 m, agents 0 and 1 at 17.3 s"."""
+        return " ".join(f"{self.verdict.upper()}: {self._reason}".split())
+
+    @property
+    def _reason(self) -> str:
+        verdict, aims = self.verdict, [each for each in self.promises if each.kind == "aim"]
+        if verdict == "broken":
+            wrong = [promise for promise in self.broken if promise.kind != "aim"]
+            first, *others = sorted(wrong, key=lambda promise: promise.kind != "safety")
+            names = [promise.name for promise in others]
+            names[LISTED:] = [f"{len(names) - LISTED} more"] * (len(names) > LISTED)
+            return f"{first.name}, {first.text}" + f"; also {', '.join(names)}" * bool(names)
+        if verdict == "not reached":
+            missed = [promise.text for promise in aims if not promise.kept]
+            return missed[0] if missed else "the check of the system says so"
+        count = f"{len(self.promises)} promises"
+        if self.failure:
+            return f"the check ended early, {self.failure}"
+        if verdict == "unchecked":
+            needed = "need the mission: sato.load(path, mission=…)"
+            return f"{count} hold, but {len(self.skipped)} {needed}"
+        return ", ".join([count, *(promise.message for promise in aims[-1:])])
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Entries of summary.json: the summary, and the promises that do not hold."""
+        if self.failure:
+            return {**self.summary, "check_failed": self.failure}
+        return {**self.summary, "broken": [promise.name for promise in self.broken]}
+
+    def __str__(self) -> str:
+        """Tell the verdict, how many promises were kept, and which were not."""
+        kept = f"{len(self.promises) - len(self.broken)} of {len(self.promises)} promises kept"
+        return "\n".join([self.line, kept, *(f"{p.name} broken: {p.text}" for p in self.broken)])
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, fit for JSON."""
         return {
+            "verdict": self.verdict,
+            "line": self.line,
             "kept": self.kept,
             "promises": [finite_or_none(promise._asdict()) for promise in self.promises],
             "skipped": list(self.skipped),

@@ -11,6 +11,7 @@ from sato.check import common
 from sato.check.report import (
     Promise,
     Report,
+    expect_apart,
     expect_below,
     expect_none,
     expect_small_error,
@@ -18,6 +19,7 @@ from sato.check.report import (
 )
 from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.mission import Connectivity
+from sato.connectivity.obstacles import obstacle_distances
 from sato.connectivity.record import run_attributes
 from sato.network.graph import canonicalize_labels, label_components
 from sato.run_data import RunData
@@ -41,7 +43,7 @@ def check_run(data: RunData, mission: Connectivity, rng: Generator | None = None
         common.check_complete(record.attributes, lacking),
         common.check_attributes(record.attributes, run_attributes(mission)),
         common.check_times(record.events, mission.step),
-        common.check_finite(frames.alive, *states),
+        common.check_finite(frames.alive, *states, time=frames.time),
         common.check_alive(frames.alive, record.events, schedule_losses(record)),
         *check_start(record),
         *check_motion(record),
@@ -70,9 +72,10 @@ def check_start(record: ConnectivityRecord) -> Iterator[Promise]:
     if frames.position.shape[1:] != start.shape:
         yield expect_none("start", 1, "another number of agents than the scenario's")
         return
-    worst = largest(frames.position[0] - start, frames.yaw[0] - mission.yaw, frames.velocity[0])
-    tolerance = TOLERANCE * largest(start)
-    yield expect_small_error("start", worst, tolerance, "off from the scenario's start at most")
+    yaw = frames.yaw[0] - mission.yaw
+    errors = np.column_stack([frames.position[0] - start, yaw, frames.velocity[0]])
+    tolerance, text = TOLERANCE * largest(start), "off from the scenario's start at most"
+    yield expect_small_error("start", errors[None], tolerance, text, frames.time)
 
 
 def check_motion(record: ConnectivityRecord) -> Iterator[Promise]:
@@ -83,20 +86,24 @@ def check_motion(record: ConnectivityRecord) -> Iterator[Promise]:
     # The noise of the step in which an agent is lost is not recorded.
     off[1:][frames.alive[:-1] & ~frames.alive[1:]] -= step * noise
     off, tolerance = np.maximum(off, 0), TOLERANCE * largest(frames.position)
-    yield expect_small_error("flight", off, tolerance, "m off from the commands")
-    off = (frames.velocity - rotate_by_yaw(replay.velocity, frames.yaw))[frames.alive]
-    yield expect_small_error("obedience", off, TOLERANCE + noise, "m/s off from the commands")
+    time, text = frames.time, "off from the commands"
+    yield expect_small_error("flight", off, tolerance, f"m {text}", time)
+    off = frames.velocity - rotate_by_yaw(replay.velocity, frames.yaw)
+    off[~frames.alive] = 0.0
+    yield expect_small_error("obedience", off, TOLERANCE + noise, f"m/s {text}", time)
     turned, tolerance = frames.yaw - replay.yaw, TOLERANCE + step * noise
-    yield expect_small_error("heading", turned, tolerance, "rad off from the commands")
+    yield expect_small_error("heading", turned, tolerance, f"rad {text}", time)
 
 
 def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check that commanded speeds and yaw rates are within their limits."""
     frames, limits = record.frames, record.mission.limits
-    speed = np.linalg.norm(frames.velocity_command, axis=2)[frames.alive]
-    yield expect_below("speed", speed, limits.speed, TOLERANCE, "m/s commanded at most")
-    rate = frames.yaw_rate[frames.alive]
-    yield expect_below("turn", rate, limits.yaw_rate, TOLERANCE, "rad/s commanded at most")
+    for name, values, limit, unit in (
+        ("speed", np.linalg.norm(frames.velocity_command, axis=2), limits.speed, "m/s"),
+        ("turn", frames.yaw_rate, limits.yaw_rate, "rad/s"),
+    ):
+        size, text = np.where(frames.alive, values, 0.0), f"{unit} commanded at most"
+        yield expect_below(name, size, limit, TOLERANCE, text, frames.time)
     mission, link = record.mission, record.mission.link
     disturbances = (
         mission.camera_noise, record.noise_std, link.loses_messages, link.late,
@@ -135,10 +142,10 @@ def check_views(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check weights and visibility against poses, tilted cameras and occlusion."""
     frames, views = record.frames, record.views
     off = frames.edge_weight - views.weight
-    yield expect_small_error("weights", off, TOLERANCE, "off from those of the poses")
+    yield expect_small_error("weights", off, TOLERANCE, "off from those of the poses", frames.time)
     beyond = views.view_cosine - record.mission.assumed_camera.a_min
     odd = (frames.visibility != (beyond > 0)) & (np.abs(beyond) >= TOLERANCE)
-    yield expect_none("visibility", odd, "visibilities that the poses do not give")
+    yield expect_none("visibility", odd, "visibilities that the poses do not give", frames.time)
 
 
 def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
@@ -162,20 +169,24 @@ def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
     labels = np.array([label_components(graph[k], alive[k]) for k in first])
     odd = labels != np.array([canonicalize_labels(component[k]) for k in first])
     odd = np.repeat(odd, np.diff(first, append=len(graph)), axis=0)
-    yield expect_none("component", odd, "labels that the weights do not give")
+    yield expect_none("component", odd, "labels that the weights do not give", frames.time)
     is_lost, least = lambda2 <= limit, float(lambda2.min())
     text = f"λ₂ is {least:.6g} at least, more than {limit:g} is asked"
     if is_lost.any():
         text += f"; from {frames.time[int(np.argmax(is_lost))]:g} s on it was not always"
-    yield Promise("connectivity", not is_lost.any(), least, limit, text)
+    time = float(frames.time[int(np.argmin(lambda2))])
+    yield Promise("connectivity", not is_lost.any(), least, limit, text, (), time, "safety")
 
 
 def check_distances(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check that agents keep the distance at which repulsion is infinite."""
-    limit = record.mission.repulsion.min_distance
-    for name, found, where in (
-        ("separation", record.min_separation, "between agents"),
-        ("obstacles", record.min_obstacle_distance, "to obstacles"),
-    ):
-        text = f"{found:.6g} m {where} at least, {limit:g} m asked"
-        yield Promise(name, bool(found >= limit), found, limit, text)
+    limit, time = record.mission.repulsion.min_distance, record.frames.time
+    near = record.closest_pair
+    yield expect_apart(near.distance, limit, near.pair, near.time(time))
+    place, at = (), 0.0
+    away = obstacle_distances(record.frames.position, record.mission.obstacle_arrays)
+    if away.size:  # nearest at an instant, as good as on the way to the next
+        away[~record.frames.alive] = np.inf
+        k, i, _ = map(int, np.unravel_index(int(np.argmin(away)), away.shape))
+        place, at = (i,), float(time[k])
+    yield expect_apart(record.min_obstacle_distance, limit, place, at, name="obstacles")

@@ -29,7 +29,12 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     @cached_property
     def min_separation(self) -> float:
         """Least distance of two agents, between instants too; infinite for one [m]."""
-        return common.find_closest_approach(self.frames.position, self.frames.alive).distance
+        return self.closest_pair.distance
+
+    @cached_property
+    def closest_pair(self) -> common.ClosestPair:
+        """Closest two agents, between instants too."""
+        return common.find_closest_approach(self.frames.position, self.frames.alive)
 
     @cached_property
     def min_obstacle_distance(self) -> float:
@@ -126,17 +131,12 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
         return CameraViews(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
     def summarize(self) -> dict[str, Any]:
-        """Summarize a run; a success has λ₂ above λ₂^min throughout.
-
-        Quantities without a value are absent.
-        """
+        """Summarize a run; quantities without a value are absent."""
         frames, lambda2_min = self.frames, float(self.frames.lambda2.min())
-        is_connected = lambda2_min > self.mission.potential.lambda2_min
         sees, is_seen = frames.visibility, frames.visibility.transpose(0, 2, 1)
         lambda2_error = np.abs(frames.lambda2_estimate - frames.lambda2[:, None])
         yaw_error = np.abs(np.sin(frames.yaw_estimate_error / 2))  # as in [Bernard2023, Fig. 7]
         summary = common.common_summary(self.attributes, frames.alive) | {
-            "success": is_connected and not common.incomplete_reason(self.attributes),
             "lambda2_min": lambda2_min,
             "lambda2_error_mean": _mean(lambda2_error, frames.alive & np.isfinite(lambda2_error)),
             "yaw_error_mutual": _mean(yaw_error, sees & is_seen),

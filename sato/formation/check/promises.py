@@ -10,12 +10,13 @@ from sato.check import common
 from sato.check.report import (
     Promise,
     Report,
+    expect_apart,
     expect_below,
     expect_none,
     expect_small_error,
     largest,
 )
-from sato.formation.check.recorded import FormationRecord, summarize_flight
+from sato.formation.check.recorded import FormationRecord, find_faults, summarize_flight
 from sato.formation.mission import Formation
 from sato.formation.record import collect_attributes
 from sato.run_data import RunData
@@ -30,13 +31,13 @@ def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -
     """Check the data of a run against a drawn mission; noise and losses by their effects."""
     record = FormationRecord.from_data(data, mission)
     frames, attributes = record.frames, record.attributes
-    command, drift = frames.velocity_command, frames.frame_drift
+    states = frames.position, frames.velocity, frames.velocity_command, frames.frame_drift
     end = "" if record.replay.is_complete else "the flight ends where it should not"
     promises = (
         common.check_complete(attributes, end),
         common.check_attributes(attributes, collect_attributes(mission)),
         common.check_times(record.events, mission.frame_period),
-        common.check_finite(frames.alive, frames.position, frames.velocity, command, drift),
+        common.check_finite(frames.alive, *states, time=frames.time),
         common.check_alive(frames.alive, record.events),
         check_connected(record),
         check_start(record),
@@ -50,6 +51,7 @@ def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -
         check_assignment_events(record),
         check_assignment_is_unique(record),
         check_separation(record),
+        check_arrival(record),
     )
     summary = common.common_summary(attributes, frames.alive) | summarize_flight(record)
     return Report(promises, summary)
@@ -57,16 +59,17 @@ def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -
 
 def check_connected(record: FormationRecord) -> Promise:
     """Check that all agents take part in one network."""
-    odd = [~record.frames.alive, record.frames.component != 0]
-    return expect_none("component", odd, "times an agent was missing, or in another network")
+    odd = ~record.frames.alive | (record.frames.component != 0)
+    text = "times an agent was missing, or in another network"
+    return expect_none("component", odd, text, record.time)
 
 
 def check_start(record: FormationRecord) -> Promise:
     """Check that vehicles start where the scenario says, at rest."""
     start, frames = record.mission.initial_positions, record.frames
-    worst = largest(frames.position[0] - start, frames.velocity[0])
-    tolerance = ROUNDING_TOLERANCE * largest(start)
-    return expect_small_error("start", worst, tolerance, "off from the scenario's start, at most")
+    errors = np.hstack([frames.position[0] - start, frames.velocity[0]])[None]
+    tolerance, text = ROUNDING_TOLERANCE * largest(start), "off from the scenario's start, at most"
+    return expect_small_error("start", errors, tolerance, text, record.time)
 
 
 def check_coordinate_frames(record: FormationRecord) -> Promise:
@@ -88,7 +91,8 @@ def check_drift(record: FormationRecord) -> Promise:
     tolerance = ROUNDING_TOLERANCE * largest(drift)
     tolerance += largest(rate) * _position_uncertainty(record)
     text = "m off from the drift of the distance flown in a step"
-    return expect_small_error("drift", largest(error, drift[0]), tolerance, text)
+    errors = np.concatenate([drift[:1], error])
+    return expect_small_error("drift", errors, tolerance, text, record.time)
 
 
 def check_formations(record: FormationRecord) -> Promise:
@@ -121,7 +125,8 @@ def check_positions(record: FormationRecord) -> Promise:
     p, v = record.frames.position, record.frames.velocity
     error = np.diff(p, axis=0) - v[1:] * record.mission.frame_period
     tolerance = ROUNDING_TOLERANCE * largest(p) + _position_uncertainty(record)
-    return expect_small_error("flight", error, tolerance, "m off from a step by its velocity")
+    text = "m off from a step by its velocity"
+    return expect_small_error("flight", error, tolerance, text, record.time[1:])
 
 
 def check_limits(record: FormationRecord) -> Iterator[Promise]:
@@ -135,7 +140,8 @@ def check_limits(record: FormationRecord) -> Iterator[Promise]:
         ("acceleration", planar, mission.max_acceleration, "m/s² in the plane"),
         ("climb_acceleration", acceleration[..., 2], climb, "m/s² up or down"),
     ):
-        yield expect_below(name, values, limit, ROUNDING_TOLERANCE, text)
+        time = record.time[-len(values) :]
+        yield expect_below(name, values, limit, ROUNDING_TOLERANCE, text, time)
 
 
 def check_legs(record: FormationRecord) -> Promise:
@@ -155,15 +161,15 @@ def check_assignment_events(record: FormationRecord) -> Promise:
     held = record.frames.point_index
     agents = held.shape[1]
     expected = np.tile(np.arange(agents), (len(held), 1))
-    odd = 0
+    odd = 0  # events
     for k, event in record.events.of_kind("leg_start", "assignment"):
         is_start = event["kind"] == "leg_start"
         now = np.arange(agents) if is_start else np.asarray(event["point"], dtype=np.int64)
         changed = np.flatnonzero(expected[k] != now)
         odd += not is_start and changed.tolist() != event["agents"]
         expected[k:] = now
-    odd += int((expected != held).sum())
-    return expect_none("assignment", odd, "points held against the events")
+    wrong, text = expected != held, "points held against the events"
+    return expect_none("assignment", *((wrong, text, record.time) if wrong.any() else (odd, text)))
 
 
 def check_assignment_is_unique(record: FormationRecord) -> Promise:
@@ -184,10 +190,15 @@ def check_separation(record: FormationRecord) -> Promise:
     keep_out, found = record.mission.keep_out, record.closest_approach
     noise = min(NOISE_SIGMAS * record.mission.frames.noise, NOISE_ALLOWANCE)
     allowed = keep_out - noise
-    i, j = found.pair
-    text = f"{found.distance:.6g} m between agents {i} and {j} after {found.instant} steps"
-    text += f", with keep_out_m = {keep_out:g} m" + f" less {noise:g} m for noise" * (noise > 0)
-    return Promise("separation", bool(found.distance >= allowed), found.distance, allowed, text)
+    text = f", with keep_out_m = {keep_out:g} m less {noise:g} m for noise" * (noise > 0)
+    return expect_apart(found.distance, allowed, found.pair, found.time(record.time), text=text)
+
+
+def check_arrival(record: FormationRecord) -> Promise:
+    """Check that every formation was taken up, within the tolerance of its shape."""
+    faults = find_faults(record)
+    text = faults[0] if faults else "all formations taken up"
+    return Promise("reached", not faults, float(len(faults)), 0.0, text, kind="aim")
 
 
 def _planar(record: FormationRecord, vectors: Array) -> Array:

@@ -16,6 +16,7 @@ from sato.formation.mission import Formation
 from sato.formation.record import GAIN_PARTS, FormationVariables
 from sato.formation.supervisor import FlightCourse, Phase, find_blocked
 from sato.record import RunRecord
+from sato.summary import format_value
 
 
 class FormationLegRecord(NamedTuple):
@@ -108,13 +109,11 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     """Summarize a flight, without the entries that the runs of every system have."""
     mission = record.mission
     legs = [summarize_leg(record, leg) for leg in record.replay.legs]
-    is_over = len(legs) == len(mission.legs) and not common.incomplete_reason(record.attributes)
     gridlocked = record.replay.phase[:-1].count(Phase.GRIDLOCKED)
     errors = [leg["shape_error_m"] for leg in legs if "shape_error_m" in leg]
     rounds = [int(event["rounds"]) for _, event in record.events.of_kind("auction")]
     return common.drop_non_finite(
         {
-            "success": is_over and all(leg["success"] for leg in legs),
             "shape_error_m": max(errors, default=np.nan),
             **{key: sum(leg[key] for leg in legs) for key in ("path_m", "time_s", "reassignments")},
             "gridlocked_s": gridlocked * mission.frame_period,
@@ -156,6 +155,21 @@ def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str,
         summary["success"] = leg.completed and error <= mission.supervision.shape_tolerance
         summary |= {"shape_error_m": shape.error, "inverted": shape.inverted}
     return common.drop_non_finite(summary)
+
+
+def find_faults(record: FormationRecord) -> list[str]:
+    """Describe why formations were not taken up, one a leg that was not."""
+    legs, limit = record.replay.legs, record.mission.supervision.shape_tolerance
+    found = []
+    for leg in legs:
+        summary, name = summarize_leg(record, leg), f"leg {leg.leg + 1}"
+        if not leg.completed:
+            found.append(f"{name}, not taken up by {record.time[leg.end_instant]:g} s")
+        elif not summary["success"]:
+            error = summary.get("shape_error_m", np.nan)
+            off = f"shape error {format_value(error, limit)} m (tolerance {limit:g} m)"
+            found.append(f"{name}, {off}" + ", upside down" * bool(summary.get("inverted")))
+    return found + [f"leg {k + 1} did not begin" for k in range(len(legs), len(record.mission.legs))]
 
 
 def received_bit_rate(record: FormationRecord) -> float:

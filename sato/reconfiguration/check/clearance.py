@@ -34,12 +34,12 @@ def find_clearance(record: ReconfigurationRecord) -> Clearance | None:
     return min(found, default=None)
 
 
-def find_excess(record: ReconfigurationRecord) -> tuple[float, int]:
-    """Find by how much a live vehicle leaves the allowed positions at most, and which [m]."""
+def find_excess(record: ReconfigurationRecord) -> tuple[float, int, float]:
+    """Find by how much a live vehicle leaves the allowed positions at most [m], which and when."""
     if record.mission.box is None:
-        return 0.0, -1
+        return 0.0, -1, 0.0
     low, high = np.asarray(record.mission.box)
-    pieces, _, agent = _live_pieces(record)
+    pieces, k, agent = _live_pieces(record)
 
     def measure(parts: Array, _: Array) -> tuple[Array, Array]:
         points = np.concatenate([evaluate_bezier(parts, 0.5)[:, None], parts], axis=1)
@@ -47,8 +47,10 @@ def find_excess(record: ReconfigurationRecord) -> tuple[float, int]:
         return room[:, 0], room.min(axis=1)
 
     precision = PRECISION * record.mission.least_separation
-    room, number, _ = minimize_along(pieces, measure, precision)
-    return -room, int(agent[number]) if number >= 0 else -1
+    room, number, fraction = minimize_along(pieces, measure, precision)
+    if number < 0:
+        return -room, -1, 0.0
+    return -room, int(agent[number]), record.pieces.duration * (float(k[number]) + fraction)
 
 
 def _live_pieces(

@@ -9,7 +9,14 @@ from dynamics.trajectory_geometry import sampled_separations
 from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import LIMIT_TOLERANCE, Limit
 from sato.check import common
-from sato.check.report import Promise, Report, expect_below, expect_none, expect_small_error
+from sato.check.report import (
+    Promise,
+    Report,
+    expect_apart,
+    expect_below,
+    expect_none,
+    expect_small_error,
+)
 from sato.reconfiguration.check.clearance import find_excess
 from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
 from sato.reconfiguration.check.legs import (
@@ -20,7 +27,7 @@ from sato.reconfiguration.check.legs import (
 )
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
-from sato.reconfiguration.check.summary import is_reached, summarize
+from sato.reconfiguration.check.summary import find_fault, is_reached, summarize
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.record import CHIEF_ELEMENTS, collect_attributes, stack_targets
 from sato.record import RunFileError
@@ -95,16 +102,17 @@ def check_finite(record: ReconfigurationRecord) -> Promise:
     has_control = np.vstack([record.is_flying, np.zeros_like(alive[:1])])
     is_odd = (controls != has_control[..., None]).any(axis=2)
     text = "states or controls that are not finite, or of agents that are not alive"
-    return expect_none("numbers", is_lacking | is_odd, text)
+    return expect_none("numbers", is_lacking | is_odd, text, record.time)
 
 
 def check_start(record: ReconfigurationRecord) -> Promise:
     """Check that agents start, and join, with the states of the mission."""
     start, alive = record.mission.initial_states, record.frames.alive
-    k, i = np.nonzero(np.vstack([alive[:1], alive[1:] & ~alive[:-1]]))
+    begins = np.vstack([alive[:1], alive[1:] & ~alive[:-1]])
+    errors = np.where(begins[..., None], record.state - start, 0.0)
     tolerance = ROUNDING_TOLERANCE * float(np.abs(start).max())
     text = "error of an initial state, at most"
-    return expect_small_error("start", record.state[k, i] - start[i], tolerance, text)
+    return expect_small_error("start", errors, tolerance, text, record.time)
 
 
 def check_propagation(record: ReconfigurationRecord) -> Promise:
@@ -120,9 +128,10 @@ def check_propagation(record: ReconfigurationRecord) -> Promise:
     is_adrift = record.is_adrift[:-1]
     is_absent = ~frames.alive[:-1] & ~frames.alive[1:] & ~is_adrift
     moved = np.nan_to_num((x[1:] - x[:-1]) / scale)
-    errors = np.concatenate([errors[record.is_flying | is_adrift], moved[is_absent]])
+    errors[~(record.is_flying | is_adrift)] = 0.0
+    errors[is_absent] = moved[is_absent]
     text = "relative error of a step propagated again under its applied control"
-    return expect_small_error("flight", errors, ROUNDING_TOLERANCE, text)
+    return expect_small_error("flight", errors, ROUNDING_TOLERANCE, text, record.time[1:])
 
 
 def check_applied_control(
@@ -130,10 +139,10 @@ def check_applied_control(
 ) -> Promise:
     """Check that the applied control is the commanded one with the errors of the seed."""
     applied = record.frames.applied_control
-    errors = (applied[:-1] - drawn)[record.is_flying]
+    errors = np.where(record.is_flying[..., None], applied[:-1] - drawn, 0.0)
     tolerance = ROUNDING_TOLERANCE * float(np.nanmax(np.abs(applied), initial=0.0))
     text = "m/s² between the applied control and the draws of the seed"
-    return expect_small_error("applied", errors, tolerance, text)
+    return expect_small_error("applied", errors, tolerance, text, record.time)
 
 
 def check_measurements(
@@ -152,18 +161,15 @@ def check_measurements(
         return expect_none("measured", 1, "measurements after the last control")
     tolerance = ROUNDING_TOLERANCE * float(np.abs(record.state).max())
     text = "m or m/s between measurements and the draws of the seed"
-    return expect_small_error("measured", measured[:-1] - drawn, tolerance, text)
+    return expect_small_error("measured", measured[:-1] - drawn, tolerance, text, record.time)
 
 
 def check_control_limit(record: ReconfigurationRecord) -> Promise:
     """Check that no commanded control exceeds its limit."""
     limits = [record.mission.control_limit(i) for i in range(record.state.shape[1])]
-    control, is_flying = record.frames.control[:-1], record.is_flying
-    size = _measure(limits, control)[is_flying]
-    most = np.broadcast_to([limit.most for limit in limits], is_flying.shape)[is_flying]
-    worst = np.argmax(size / most) if len(size) else slice(0)
-    allowed = float(np.max(most[worst], initial=0.0))
-    return expect_below("control", size[worst], allowed, LIMIT_TOLERANCE, "m/s² commanded")
+    size = np.where(record.is_flying, _measure(limits, record.frames.control[:-1]), 0.0)
+    most = np.broadcast_to([limit.most for limit in limits], size.shape)
+    return _expect_below_own("control", size, most, size / most, "m/s² commanded", record.time)
 
 
 def check_speed_limit(record: ReconfigurationRecord) -> Promise:
@@ -175,16 +181,32 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     """
     alive = record.frames.alive
     limits = [record.mission.speed_limit(i) for i in range(alive.shape[1])]
-    speed = _measure(limits, record.frames.velocity)[alive]
+    speed = np.where(alive, _measure(limits, record.frames.velocity), 0.0)
     most = np.array([limit.most for limit in limits])
-    if not len(speed) or np.isinf(most).all():
-        return expect_below("speed", speed, most.max(), LIMIT_TOLERANCE, "m/s flown")
+    if not alive.any() or np.isinf(most).all():
+        return expect_below("speed", speed, most.max(), LIMIT_TOLERANCE, "m/s flown", record.time)
     # A vector of length 1 is at most so large in the norm of the limit.
     stretch = np.array([1 / limit.shares.min() for limit in limits])
     stretch *= np.sqrt(record.mission.axes) if record.mission.speed_norm == 1 else 1.0
-    allowed = (most + bound_speed_excess(record) * stretch)[alive]
-    worst = int(np.argmax(speed - allowed))
-    return expect_below("speed", speed[worst], float(allowed[worst]), LIMIT_TOLERANCE, "m/s flown")
+    allowed = most + bound_speed_excess(record) * stretch
+    excess = np.where(alive, speed - allowed, -np.inf)
+    return _expect_below_own("speed", speed, allowed, excess, "m/s flown", record.time)
+
+
+def _expect_below_own(
+    name: str,
+    size: Float[Array, "instants agents"],
+    most: Float[Array, "instants agents"],
+    excess: Float[Array, "instants agents"],
+    text: str,
+    time: Float[Array, " instants"],
+) -> Promise:
+    """Promise that sizes are below their own limits, by the one of the largest excess."""
+    if not excess.size:
+        return expect_below(name, 0.0, 0.0, LIMIT_TOLERANCE, text)
+    k, i = np.unravel_index(int(np.argmax(excess)), excess.shape)
+    promise = expect_below(name, size[k, i], float(most[k, i]), LIMIT_TOLERANCE, text)
+    return promise._replace(agents=(int(i),), time=float(time[k]))
 
 
 def _measure(
@@ -207,22 +229,17 @@ def check_targets(record: ReconfigurationRecord) -> Promise:
 def check_separation(record: ReconfigurationRecord) -> Promise:
     """Check that no two agents come closer than R_col, at samples or between them."""
     mission, frames, radius = record.mission, record.frames, record.mission.largest_separation
-    is_relative = mission.has_own_separations
-    found, error = record.relative_separations if is_relative else record.separations
-    (i, j), k = found.minimum.pair, max(found.minimum.piece, 0) // record.pieces_per_step
-    where = f"between agents {i} and {j} in step {k}"
-    if is_relative:
-        sampled, limit = _least_relative(record), 1.0
-        what = "(R_i + R_j)/2" if mission.separation_axes is None else "the ellipsoid"
-        text = f"of {what} {where}, 1 allowed"
+    if mission.has_own_separations:
+        found, error = record.relative_separations
+        sampled, radius = _least_relative(record), 1.0
+        unit = "(R_i + R_j)/2" if mission.separation_axes is None else "of the ellipsoid"
     else:
-        sampled, limit = sampled_separations(frames.position, frames.alive).min(), radius
-        text = f"m {where}, {radius:g} m allowed"
-        if error:
-            text += f" (the trajectory between samples is known to {error:.1g} m)"
-    least, allowed = min(found.minimum.distance, float(sampled)), limit * (1 - 1e-9)
-    text = f"{least:.9g} {text}"
-    return Promise("separation", bool(least - error >= allowed), least, allowed, text)
+        (found, error), unit = record.separations, "m"
+        sampled = float(sampled_separations(frames.position, frames.alive).min())
+    nearest, allowed = found.minimum, radius * (1 - 1e-9)
+    time = record.pieces.duration * (nearest.piece + nearest.fraction)
+    least = min(nearest.distance, sampled)
+    return expect_apart(least, allowed, nearest.pair, time, error, unit=unit)
 
 
 def _least_relative(record: ReconfigurationRecord) -> float:
@@ -237,22 +254,21 @@ def _least_relative(record: ReconfigurationRecord) -> float:
 def check_obstacles(record: ReconfigurationRecord) -> Promise:
     """Check that no agent comes closer than R to an obstacle, or leaves the allowed positions."""
     error, mission = record.pieces.error, record.mission
-    beyond, agent = find_excess(record)
+    beyond, agent, time = find_excess(record)
     # Walls stand so much farther away that vehicles reach targets on the bounds.
     spare = 2 * SEPARATION_TOLERANCE * mission.largest_separation * mission.widest_axis
     rounding = ROUNDING_TOLERANCE * float(np.abs(record.frames.position).max())
     if beyond > spare + rounding + error:
-        text = f"agent {agent} is {beyond:.3g} m out of the allowed positions"
-        return Promise("obstacles", False, beyond, 0.0, text)
+        text = f"{beyond:.3g} m out of the allowed positions"
+        return Promise("obstacles", False, beyond, 0.0, text, (agent,), time, "safety")
     found = record.clearance
     if found is None:
         return Promise("obstacles", True, 0.0, 0.0, "there are none")
     radius = float(record.mission.radii[found.agent])
     kind = record.mission.obstacles[found.obstacle].kind
-    where = f"agent {found.agent} and obstacle {found.obstacle}, a {kind}, at {found.time:.4g} s"
-    text = f"{found.distance:.9g} m between {where}, {radius:g} m allowed"
-    is_kept = found.room - error >= -1e-9 * radius
-    return Promise("obstacles", bool(is_kept), found.distance, radius * (1 - 1e-9), text)
+    text, allowed = f" to obstacle {found.obstacle}, a {kind}", radius * (1 - 1e-9)
+    near = (found.room + radius, allowed, (found.agent,), found.time, error)
+    return expect_apart(*near, name="obstacles", text=text)
 
 
 def check_drifts(record: ReconfigurationRecord) -> Promise:
@@ -264,19 +280,18 @@ def check_drifts(record: ReconfigurationRecord) -> Promise:
     if found.nearest is None:
         return Promise("drifts", True, 0.0, allowed, losses)
     distance, agent, other, step = found.nearest
-    text = (
-        f"{distance:.9g} m between agent {agent}, without thrust from step {step} on, and agent "
-        f"{other}, {allowed:g} m allowed; of {losses}"
-    )
-    return Promise("drifts", distance >= allowed, distance, allowed, text)
+    text = f" after a loss of thrust of agent {agent}, of {losses}"
+    near = (distance, allowed, (agent, other), step * record.mission.step)
+    return expect_apart(*near, name="drifts", text=text)
 
 
 def check_arrival(record: ReconfigurationRecord) -> Promise:
     """Check that every leg was reached."""
-    reached = {leg.leg_index for leg in record.leg_records if is_reached(record, leg)}
-    missed = set(range(len(record.mission.legs))) - reached
-    text = _list_legs("that were not reached", missed) or "every leg was reached"
-    return Promise("reached", not missed, float(len(missed)), 0.0, text)
+    count, begun = len(record.mission.legs), [leg.leg_index for leg in record.leg_records]
+    faults = [fault for leg in record.leg_records if (fault := find_fault(record, leg))]
+    faults += [f"leg {leg + 1} did not begin" for leg in range(count) if leg not in begun]
+    text = faults[0] if faults else "all legs reached" if count > 1 else "the leg reached"
+    return Promise("reached", not faults, float(len(faults)), 0.0, text, kind="aim")
 
 
 def check_fuel(record: ReconfigurationRecord) -> Promise:

@@ -18,6 +18,7 @@ from sato.reconfiguration.check.fuel import (
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.feasibility import is_detectable
+from sato.summary import format_value
 
 
 def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
@@ -29,7 +30,6 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     reached = len(legs) == len(mission.legs) and all(leg["reached"] for leg in legs)
     summary = common_summary(record.attributes, frames.alive) | {
         "reached": reached,
-        "success": reached,
         "min_separation_m": min(found.minimum.distance, least),
         "min_separation_at_samples_m": least,
         **_summarize_radii(record),
@@ -155,14 +155,32 @@ def is_reached(record: ReconfigurationRecord, leg: LegRecord) -> bool:
 
     A leg at whose end a vehicle still waits to join is not reached.
     """
-    position, velocity = compute_terminal_errors(record, leg)
-    is_near = position <= record.mission.position_tolerance
-    is_near &= velocity <= record.mission.velocity_tolerance
-    is_anyone_there = leg.end_event is not None and bool(leg.alive.any())
+    return not find_fault(record, leg)
+
+
+def find_fault(record: ReconfigurationRecord, leg: LegRecord) -> str:
+    """Describe why a leg was not reached; empty if it was."""
+    mission, name = record.mission, f"leg {leg.leg_index + 1}"
+    if leg.end_event is None:
+        return f"{name} did not end"
+    if not leg.alive.any():
+        return f"{name}, no agent is left"
     refused = [event for k, event in record.events.of_kind("refused") if k == leg.end_index]
-    waits = any(record.mission.waits[event["agents"]].any() for event in refused)
-    is_all_there = is_anyone_there and not waits
-    return is_all_there and bool(is_near.all()) and not count_duplicates(leg)
+    if any(mission.waits[event["agents"]].any() for event in refused):
+        return f"{name}, a vehicle waits to join"
+    agents, held = np.flatnonzero(leg.alive), leg.target_index[leg.alive]
+    errors = zip(compute_terminal_errors(record, leg), ("m", "m/s"), strict=True)
+    limits = mission.position_tolerance, mission.velocity_tolerance
+    for (error, unit), limit in zip(errors, limits, strict=True):
+        if not (error <= limit).all():
+            worst = int(np.argmax(error))  # that of an agent without a target is NaN
+            agent, target, tolerance = agents[worst], held[worst], f"tolerance {limit:g} {unit}"
+            if np.isnan(error[worst]):
+                return f"{name}, agent {agent} has no target"
+            off = f"{format_value(float(error[worst]), limit)} {unit}"
+            return f"{name}, target {target} is {off} from agent {agent} ({tolerance})"
+    twice = [int(target) for target in held if (held == target).sum() > 1]
+    return f"{name}, target {twice[0]} has two holders" if twice else ""
 
 
 def count_duplicates(leg: LegRecord) -> int:
