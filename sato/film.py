@@ -21,6 +21,7 @@ from sato.figures.axes import (
     add_legend,
     draw_paths,
     escape_formulas,
+    mark_broken,
     set_axis_bounds,
 )
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY
@@ -103,7 +104,13 @@ class SwarmFilm:
         ax.plot(*place[status == LOST].T / scale, "x", color=DARK_GRAY, ms=4.5, mew=1.1, zorder=2)
         stage = [escape_formulas(name) for start, name in scene.stages if start <= time]
         words = [*stage[-1:], f"t = {self._view.format_time(round(time, 1))}"]
-        ax.set_title("     ".join([*words, f"{int((status == ALIVE).sum())} vehicles"]))
+        words.append(f"{int((status == ALIVE).sum())} vehicles")
+        for promise in scene.broken:
+            if promise.time is not None and promise.time <= time:
+                at = self._positions_at(np.array([promise.time]))[0][list(promise.agents)]
+                mark_broken(ax, scale, self._view.project(at), promise.name)
+                words = [*words[:3], f"broken: {promise.name}"]
+        ax.set_title("     ".join(words))
         if not space.is_flat:
             turned = TURN * (time - first) / max(last - first, 1e-9)
             ax.view_init(elev=ELEVATION, azim=AZIMUTH + turned)

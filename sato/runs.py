@@ -5,7 +5,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from importlib.metadata import version
@@ -153,7 +153,9 @@ class Run:
             raise InputError("", f"runs of {system.name} have no scene that a viewer could show")
         if not len(self.recorded["time"]):
             raise record.RunFileError("the run has no instants, and nothing can be shown")
-        return system.scene(self.recorded, self.drawn_mission)
+        broken = (each for each in self.report.broken if each.agents and each.time is not None)
+        scene = system.scene(self.recorded, self.drawn_mission)
+        return replace(scene, verdict=self.report.line, broken=tuple(broken))
 
     def player(self, path: str | Path) -> Path:
         """Write the run as one HTML file, which plays it in a browser without a network."""

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.spatial import ConvexHull, cKDTree
 
+from sato.check.report import Promise
 from sato.figures.style import BLUE, GRAY, GREEN, ORANGE, PURPLE, RED, style_components
 from sato.network.graph import CommunicationGraph
 from sato.obstacles import Obstacle
@@ -124,6 +125,8 @@ class SwarmScene:
     events: Sequence[dict[str, Any]]  # with their times
     obstacles: tuple[Hull, ...] = ()
     viewpoint: Viewpoint = GROUND
+    verdict: str = ""  # line of the report
+    broken: tuple[Promise, ...] = ()  # promises that agents break at a time
 
     @property
     def bounds(self) -> tuple[Float[Array, " d"], Float[Array, " d"]]:

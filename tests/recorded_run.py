@@ -59,7 +59,7 @@ def altered(run, names, where, value=None, by=0.0):
         values[where] = values[where] + by if value is None else value
         variables[name] = variables[name]._replace(values=values)
     data = replace(run.recorded, variables=variables)
-    return replace(run, recorded=data, summary=dict(run.summary))
+    return replace(run, recorded=data, claimed=dict(run.summary))
 
 
 def with_data(run, data):

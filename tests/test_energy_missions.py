@@ -87,7 +87,7 @@ def test_the_summary_tells_energy_and_its_lower_bound():
     assert 0.5 * summary["energy_m2_s3"] < least <= summary["energy_m2_s3"] * (1 + 1e-9)
     assert "solver_fallbacks" not in summary
     for name in ("energy_m2_s3", "energy_lower_bound_m2_s3"):
-        forged = replace(run, summary=summary | {name: summary[name] * 1.001})
+        forged = replace(run, claimed=summary | {name: summary[name] * 1.001})
         [promise] = forged.check().broken
         assert promise.name == "summary" and name in promise.message
 

@@ -209,7 +209,7 @@ def without_origin(run):
 
 
 def summarized(**entries):
-    return lambda run: replace(run, summary=run.summary | entries)
+    return lambda run: replace(run, claimed=run.summary | entries)
 
 
 SMALL = {"collision_radius_m": 0.4}
@@ -254,7 +254,7 @@ FORGERIES = {
     "the name of the scenario": (attribute(name="uiuc"), "scenario"),
     "no origin": (without_origin, "scenario"),
     "the seed": (attribute(seed=2), "start"),
-    "an empty summary": (lambda run: replace(run, summary={}), "summary"),
+    "an empty summary": (lambda run: replace(run, claimed={}), "summary"),
     "a number of the summary": (summarized(fuel_m_s=0.1), "summary"),
     "the broken promises": (summarized(broken=["fuel"]), "summary"),
     "one more entry": (summarized(prize="first"), "summary"),

@@ -10,7 +10,7 @@ from formation_runs import FIVE, dataset, fly
 
 import sato
 from problems.alignment import compute_shape_error
-from sato.formation.check.promises import check_run
+from sato.formation.check.promises import check_arrival, check_run
 from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
@@ -47,7 +47,7 @@ def test_honest_run_keeps_all_promises(honest):
     assert [p.name for p in report.promises] == [
         "complete", "attributes", "times", "numbers", "alive", "component", "start", "frames",
         "drift", "formation", "gains", "flight", "speed", "climb", "acceleration",
-        "climb_acceleration", "legs", "assignment", "points", "separation",
+        "climb_acceleration", "legs", "assignment", "points", "separation", "reached",
     ]  # fmt: skip
 
 
@@ -151,7 +151,8 @@ def test_interrupted_run_keeps_all_other_promises(honest, share):
     _, mission, frames = honest
     some = frames[: 1 + int(share * len(frames))]
     report = check_run(dataset(mission, some, stopped="interrupted"), mission)
-    assert {p.name for p in report.broken} == {"complete"}
+    assert {p.name for p in report.broken} == {"complete", "reached"}
+    assert report.verdict == "not reached" and "interrupted" in report.line
     assert "interrupted" in report.broken[0].message
     assert report.summary["success"] is False
     json.dumps(report.summary, allow_nan=False)
@@ -185,7 +186,7 @@ def accumulate(mission, frames):
 def test_summary_equals_totals_added_up_in_flight(settings):
     mission, frames = fly(*settings)
     data = dataset(mission, frames)
-    assert broken(data, mission) <= {"separation"}  # which the paper's avoidance may break
+    assert broken(data, mission) <= {"separation", "reached"}  # the paper's avoidance breaks both
     record = FormationRecord.from_data(data, mission)
     summary, total = summarize_flight(record), accumulate(mission, frames)
     assert summary == summarize_flight(FormationRecord.from_frames(frames, mission))
@@ -202,7 +203,7 @@ def test_summary_equals_totals_added_up_in_flight(settings):
         assert found["shape_error_m"] == pytest.approx(expected.error)
     completed = [leg.completed for leg in record.replay.legs]
     is_close = summary["shape_error_m"] <= mission.supervision.shape_tolerance
-    assert summary["success"] == (completed == [True, True] and is_close)
+    assert check_arrival(record).kept == (completed == [True, True] and is_close)
     rate = min(gains.convergence_rate for gains in mission.gains)
     assert summary["gains_rate"] == pytest.approx(rate)
 
@@ -273,8 +274,12 @@ def test_legacy_agents_that_meet_break_separation_alone():
     report = check_run(dataset(mission, frames), mission)
     near = next(p for p in report.promises if p.name == "separation")
     assert near.value == report.summary["min_separation_m"] < 1.15
-    assert {p.name for p in report.broken} == {"separation"}
-    assert "1.2 m" in near.message
+    assert {p.name for p in report.broken} == {"separation", "reached"}
+    i, j = near.agents
+    k = int(np.searchsorted([frame.time for frame in frames], near.time))
+    apart = [np.linalg.norm(np.subtract(*f.position[[i, j], :2])) for f in frames[k - 1 : k + 1]]
+    assert min(apart) == pytest.approx(near.value, abs=0.02)
+    assert report.line.startswith(f"BROKEN: separation, {near.value:.4g} m < 1.2 m, agents {i} and")
 
 
 def test_altered_avoidance_of_a_legacy_flight_breaks_its_gridlocks():
@@ -290,7 +295,7 @@ def test_saved_run_is_checked_from_its_own_scenario(tmp_path):
     again = sato.load(tmp_path)
     assert again.check().kept
     assert again.summary == run.summary
-    wrong = replace(again, summary=again.summary | {"path_m": again.summary["path_m"] + 1})
+    wrong = replace(again, claimed=again.summary | {"path_m": again.summary["path_m"] + 1})
     assert {p.name for p in wrong.check().broken} == {"summary"}
     moved = replace(again, recorded=altered(again.recorded, "position", at((70, 2, 1), 1e-6)))
     assert {"unaltered", "flight"} <= {p.name for p in moved.check().broken}

@@ -363,7 +363,7 @@ def test_attributes_are_those_of_the_mission(flown):
 def test_altered_summary_is_found(saved, tmp_path):
     run = sato.load(saved)
     for name, value in [("reached", False), ("fuel_m_s", 0.1), ("slack_used", 1), ("braked", "no")]:
-        [promise] = replace(run, summary=run.summary | {name: value}).check().broken
+        [promise] = replace(run, claimed=run.summary | {name: value}).check().broken
         assert promise.name == "summary" and promise.message.endswith(name)
     run.save(tmp_path)
     (tmp_path / "summary.json").write_text("{}")

@@ -263,7 +263,7 @@ def test_a_fault_in_a_check_does_not_lose_the_run(home, monkeypatch):
         raise LookupError("oops")
 
     monkeypatch.setattr(sys.modules[__name__], "SYSTEM", replace(SYSTEM, check=faulty))
-    with pytest.warns(UserWarning, match="could not be checked: oops"):
+    with pytest.warns(UserWarning, match="could not be checked: LookupError: oops"):
         run = sato.run("drift.toml")
     assert run.summary["check_failed"] == "LookupError: oops" and len(run.data["time"]) == 7
 

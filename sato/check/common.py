@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from numpy.typing import ArrayLike
 
 from dynamics.trajectory_geometry import near_balls, sampled_separations
-from sato.check.report import Promise, expect_apart, expect_none, expect_small_error
+from sato.check.report import Promise, Times, expect_none, expect_small_error
 from sato.interfaces import Frame
 from sato.network.graph import CommunicationGraph, canonicalize_labels
 from sato.run_data import RunData
@@ -172,7 +171,7 @@ def check_times(log: EventLog, step: float) -> Promise:
 
 
 def check_finite(
-    alive: Alive, *states: Float[Array, "instants agents ..."], time: ArrayLike = ()
+    alive: Alive, *states: Float[Array, "instants agents ..."], time: Times = None
 ) -> Promise:
     """Check that live agents have finite states at all instants."""
     rows = [np.isfinite(values).reshape(*alive.shape, -1).all(axis=2) for values in states]

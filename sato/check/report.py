@@ -5,11 +5,14 @@ from math import isfinite
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
 from sato.scenario.errors import join_names
 from sato.summary import format_value
 
+Times = Float[Array, " times"] | None  # of instants [s]; may go on after the values
 Verdict = Literal["kept", "not reached", "broken", "unchecked"]
 LISTED = 3  # promises that are named in a line beside the first
 
@@ -39,7 +42,7 @@ class Promise(NamedTuple):
         return ", ".join(filter(None, [self.message, " ".join(where)]))
 
 
-def expect_none(name: str, violations: ArrayLike, text: str, time: ArrayLike = ()) -> Promise:
+def expect_none(name: str, violations: ArrayLike, text: str, time: Times = None) -> Promise:
     """Promise that there are no violations, described in the plural.
 
     Violations are a number, or an array that is true at each. Of an array by instant and agent,
@@ -51,7 +54,7 @@ def expect_none(name: str, violations: ArrayLike, text: str, time: ArrayLike = (
 
 
 def expect_small_error(
-    name: str, errors: ArrayLike, tolerance: float, text: str, time: ArrayLike = ()
+    name: str, errors: ArrayLike, tolerance: float, text: str, time: Times = None
 ) -> Promise:
     """Promise that the largest of all errors is within its tolerance.
 
@@ -64,7 +67,7 @@ def expect_small_error(
 
 
 def expect_below(
-    name: str, values: ArrayLike, limit: float, relative: float, text: str, time: ArrayLike = ()
+    name: str, values: ArrayLike, limit: float, relative: float, text: str, time: Times = None
 ) -> Promise:
     """Promise that a quantity does not exceed its limit, but for a relative tolerance.
 
@@ -96,8 +99,8 @@ def expect_apart(
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
     message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"
-    place = (agents, time) if isfinite(distance) else ((), None)
-    return Promise(name, is_kept, distance, allowed, message, *place, "safety")
+    promise = Promise(name, is_kept, distance, allowed, message, kind="safety")
+    return promise._replace(agents=agents, time=time) if isfinite(distance) else promise
 
 
 def largest(*errors: ArrayLike) -> float:
@@ -105,13 +108,13 @@ def largest(*errors: ArrayLike) -> float:
     return float(np.max([np.max(np.abs(each), initial=0.0) for each in errors]))
 
 
-def _locate(promise: Promise, values: ArrayLike, time: ArrayLike) -> Promise:
-    sizes, times = np.abs(values), np.asarray(time)
-    if not (times.size and sizes.size):
+def _locate(promise: Promise, values: ArrayLike, time: Times) -> Promise:
+    sizes = np.abs(values)
+    if time is None or not sizes.size:
         return promise
     place = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
     agents = tuple(map(int, place[1:2]))
-    return promise._replace(agents=agents, time=float(times[place[0]]))
+    return promise._replace(agents=agents, time=float(time[place[0]]))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ STYLE: Any = {
 # Okabe and Ito's colors, distinct for color-blind readers; always combined with a mark.
 BLUE, RED, GREEN = "#0072B2", "#D55E00", "#009E73"
 ORANGE, SKY, PURPLE = "#E69F00", "#56B4E9", "#CC79A7"
+VIVID = "#E6007E"  # of broken promises
 DARK_GRAY, GRAY, LIGHT_GRAY = "#444444", "#8c8c8c", "#c9c9c9"
 _COLORS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, DARK_GRAY)
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "p")

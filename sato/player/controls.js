@@ -2,6 +2,9 @@
 const RAMP = ["#440154", "#3b528b", "#21918c", "#5ec962", "#e3d51c"];
 const NAMESPACE = "http://www.w3.org/2000/svg";
 const EVENT_COLORS = { loss: "#d55e00", reset: "#d55e00", join: "#009e73", arrival: "#009e73" };
+const BROKEN_COLOR = "#e6007e", BROKEN_SHARE = 0.02; // of the flight, about a broken promise
+const isBroken = (kind) => kind.startsWith("broken: ");
+const colorOf = (kind) => (isBroken(kind) ? BROKEN_COLOR : EVENT_COLORS[kind]);
 
 function element(name, attributes = {}, text = "") {
   const isDrawing = ["svg", "path", "rect", "line", "text", "g"].includes(name);
@@ -47,6 +50,11 @@ class Painter {
       else if (palette.length) color.copy(palette[value]);
       else this.pick(coloring.range, value, color);
       color.toArray(colors, 3 * i);
+    }
+    const near = (run.end - run.start) * BROKEN_SHARE;
+    for (const { kind, time, agents } of run.events) {
+      if (!isBroken(kind) || Math.abs(run.time[k] - time) > near) continue;
+      for (const i of agents) color.set(BROKEN_COLOR).toArray(colors, 3 * i);
     }
   }
 
@@ -148,7 +156,7 @@ class Lanes {
   constructor(run, svg, names, format) {
     Object.assign(this, { run, svg, format });
     const kinds = [...new Set(run.events.map((event) => event.kind))];
-    this.rows = kinds.sort((a, b) => (a in EVENT_COLORS ? -1 : 0) - (b in EVENT_COLORS ? -1 : 0));
+    this.rows = kinds.sort((a, b) => (colorOf(a) ? -1 : 0) - (colorOf(b) ? -1 : 0));
     for (const name of ["", ...this.rows]) names.append(element("div", {}, name.replaceAll("_", " ")));
     svg.style.height = `${13 * (this.rows.length + 1)}px`;
     this.cursor = new Cursor(svg.parentElement);
@@ -169,7 +177,7 @@ class Lanes {
       const ticks = own.map(({ time }) => `M${this.x(time).toFixed(1)} ${top + 2}v9`).join("");
       svg.append(
         element("line", { x1: 8, x2: 8 + wide, y1: top + 6.5, y2: top + 6.5, stroke: "#eee" }),
-        element("path", { d: ticks, "stroke-width": 2, stroke: EVENT_COLORS[kind] || "#6b7c88" }),
+        element("path", { d: ticks, "stroke-width": 2, stroke: colorOf(kind) || "#6b7c88" }),
       );
     });
   }

@@ -116,7 +116,8 @@ def _encode_links(links: Links, every: int, writer: ArrayWriter) -> dict[str, An
 def _gather_events(scene: SwarmScene) -> list[dict[str, Any]]:
     """Gather events of one kind and time; the first few of their agents are listed."""
     gathered: dict[tuple[str, float], list[int]] = {}
-    for event in scene.events:
+    broken = [{**each._asdict(), "kind": f"broken: {each.name}"} for each in scene.broken]
+    for event in (*scene.events, *broken):
         key = (str(event["kind"]), _round(event["time"]))
         gathered.setdefault(key, []).extend(map(int, event["agents"]))
     return [

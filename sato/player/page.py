@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from sato.atomic import replace_atomically
-from sato.check.common import incomplete_reason
 from sato.player.encode import encode_scene
 from sato.record import drawn_mark
 from sato.scenario.errors import InputError
@@ -41,10 +40,10 @@ def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -
         "title": title,
         "system": str(attributes["system"]),
         "version": str(attributes["version"]),
-        "note": incomplete_reason(attributes),
     }
     parts = {
         "TITLE": escape(title),
+        "VERDICT": escape(scene.verdict),
         "STYLE": _read("player.css"),
         "THREE": _read("three.min.js"),
         "DATA": b64encode(encode_scene(scene, about)).decode(),

@@ -30,7 +30,7 @@ class Player {
     find("title").textContent = run.title;
     find("about").textContent = [
       `${run.system}, ${plural(run.agents, "vehicle")}, ${this.format(run.end - run.start)}`,
-      `sato ${run.version}`, run.note].filter(Boolean).join("; ");
+      `sato ${run.version}`].join("; ");
     find("scale").textContent = `grid: ${rounded(view.spacing)} m; ${thinned}positions within ` +
       `${run.error.toPrecision(2)} m, cubic between instants; bodies touch at the required distance, but are ≥ ${LEAST_SIZE} px wide`;
     colorings.forEach(({ name }, i) => find("coloring").append(element("option", { value: i }, name)));

@@ -183,7 +183,7 @@ def check_distances(record: ConnectivityRecord) -> Iterator[Promise]:
     limit, time = record.mission.repulsion.min_distance, record.frames.time
     near = record.closest_pair
     yield expect_apart(near.distance, limit, near.pair, near.time(time))
-    place, at = (), 0.0
+    place, at = tuple[int, ...](), 0.0
     away = obstacle_distances(record.frames.position, record.mission.obstacle_arrays)
     if away.size:  # nearest at an instant, as good as on the way to the next
         away[~record.frames.alive] = np.inf

@@ -10,9 +10,18 @@ from matplotlib.patches import Circle, Patch, Rectangle, Wedge
 from matplotlib.ticker import MaxNLocator
 from numpy import ndarray as Array
 
+from sato.connectivity.check.promises import check_distances
 from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.obstacles import Obstacles
-from sato.figures.axes import AxisBounds, add_axes, add_legend, add_titles, draw_ends, draw_paths
+from sato.figures.axes import (
+    AxisBounds,
+    add_axes,
+    add_legend,
+    add_titles,
+    draw_ends,
+    draw_paths,
+    mark_broken,
+)
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
 DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]
@@ -92,6 +101,10 @@ def _draw_trajectories(ax: Any, record: ConnectivityRecord, space: AxisBounds) -
     lost = place[-1, ~frames.alive[-1]].T
     if lost.size:
         ax.plot(*lost, "X", ms=7, mew=0, color=RED, zorder=7, label="lost here")
+    for promise in check_distances(record):
+        if not promise.kept and promise.time is not None:
+            k = int(np.searchsorted(frames.time, promise.time))
+            mark_broken(ax, space.unit[0], place[k, list(promise.agents)], promise.name)
     ways = record.mission.stick.waypoints[:, :axes].T
     if ways.size:
         ax.plot(*ways, "*", ms=10, mfc="none", mec=PURPLE, zorder=5, label="waypoint")

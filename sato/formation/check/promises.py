@@ -37,7 +37,7 @@ def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -
         common.check_complete(attributes, end),
         common.check_attributes(attributes, collect_attributes(mission)),
         common.check_times(record.events, mission.frame_period),
-        common.check_finite(frames.alive, *states, time=frames.time),
+        common.check_finite(frames.alive, *states, time=record.time),
         common.check_alive(frames.alive, record.events),
         check_connected(record),
         check_start(record),

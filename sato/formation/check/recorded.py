@@ -169,7 +169,9 @@ def find_faults(record: FormationRecord) -> list[str]:
             error = summary.get("shape_error_m", np.nan)
             off = f"shape error {format_value(error, limit)} m (tolerance {limit:g} m)"
             found.append(f"{name}, {off}" + ", upside down" * bool(summary.get("inverted")))
-    return found + [f"leg {k + 1} did not begin" for k in range(len(legs), len(record.mission.legs))]
+    return found + [
+        f"leg {k + 1} did not begin" for k in range(len(legs), len(record.mission.legs))
+    ]
 
 
 def received_bit_rate(record: FormationRecord) -> float:

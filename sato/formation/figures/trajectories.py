@@ -14,8 +14,9 @@ from numpy import ndarray as Array
 from problems.alignment import align, compute_shape_error
 from problems.desired_formation import DesiredFormation
 from sato.figures import panels
-from sato.figures.axes import AxisBounds, add_legend, add_titles
+from sato.figures.axes import AxisBounds, add_legend, add_titles, mark_broken
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, ORANGE, RED, SKY
+from sato.formation.check.promises import check_separation
 from sato.formation.check.recorded import FormationLegRecord, FormationRecord
 from sato.formation.figures.time_series import (
     VEHICLE_DIAMETER,
@@ -45,6 +46,7 @@ class LegScene(NamedTuple):
     reassignment_positions: Float[Array, "changes 3"]  # at new assignments under way [m]
     is_avoiding: Bool[Array, " agents"]  # at the end
     bounds: AxisBounds
+    close: Float[Array, "agents 3"]  # where two come too near; none where they do not [m]
 
 
 def plot_paths(record: FormationRecord, shown_time: float = SHOWN_TIME) -> Figure:
@@ -107,7 +109,10 @@ def _make_scene(record: FormationRecord, leg: FormationLegRecord, shown_time: fl
     kept = path[subsample(len(path), MAX_PIECES)]
     bounds = AxisBounds.enclosing(("x", "y", "z"), kept, formation.points, margin=MARGIN)
     missed = held if not leg.completed else held[:0]
-    return LegScene(title, formation, kept, missed, path[changed], is_avoiding, bounds)
+    near, k = record.closest_approach, record.closest_approach.instant - int(window[0])
+    is_close = not check_separation(record).kept and 0 <= k < len(path)
+    close = path[k, list(near.pair)] if is_close else path[0, :0]
+    return LegScene(title, formation, kept, missed, path[changed], is_avoiding, bounds, close)
 
 
 def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Array, " 3"]) -> None:
@@ -118,6 +123,8 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
         ax.add_collection(LineCollection(list(points[pairs]), **edges))
     ax.plot(*points.T, "+", ms=4.7, mew=0.7, color=GRAY, zorder=1.2, label="point of the formation")
     ax.add_collection(_fading_paths(path))
+    if len(scene.close):
+        mark_broken(ax, 1.0, scene.close[:, view], "separation")
     if len(scene.missed):
         ways: dict[str, Any] = {"colors": RED, "lw": 0.8, "ls": ":", "label": "to its own point"}
         ends = np.stack([path[-1], scene.missed[:, view]], axis=1)

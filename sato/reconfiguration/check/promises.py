@@ -38,6 +38,7 @@ PROMISES = tuple(
     " speed targets legs assignment blocked believed separation obstacles drifts reached"
     " fuel".split()
 )
+PerAgent = Float[Array, "instants agents"]
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
 
@@ -194,12 +195,7 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
 
 
 def _expect_below_own(
-    name: str,
-    size: Float[Array, "instants agents"],
-    most: Float[Array, "instants agents"],
-    excess: Float[Array, "instants agents"],
-    text: str,
-    time: Float[Array, " instants"],
+    name: str, size: PerAgent, most: PerAgent, excess: PerAgent, text: str, time: Array
 ) -> Promise:
     """Promise that sizes are below their own limits, by the one of the largest excess."""
     if not excess.size:

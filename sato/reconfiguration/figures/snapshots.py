@@ -13,8 +13,10 @@ from sato.figures.axes import (
     draw_ends,
     draw_paths,
     make_panels,
+    mark_broken,
 )
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED
+from sato.reconfiguration.check.promises import check_obstacles, check_separation
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.figures.scene import (
     LOST_STYLE,
@@ -101,6 +103,10 @@ def plot_trajectories(record: ReconfigurationRecord) -> Figure:
         lost = path[-1, record.is_adrift[leg.end_index]] / space.unit[0]
         if len(lost):
             ax.plot(*lost.T, "x", ms=4, **LOST_STYLE, zorder=4, label="lost")
+        for promise in (check_separation(record), check_obstacles(record)):
+            if not promise.kept and promise.time is not None and begin <= promise.time <= end:
+                (at,) = scene.positions_at(np.array([promise.time / record.mission.step]))
+                mark_broken(ax, space.unit[0], at[list(promise.agents)], promise.name)
     add_legend(figure)
     return figure
 
