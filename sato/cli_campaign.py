@@ -47,6 +47,7 @@ def run_command(
     """Fly a campaign into one table, DIR/campaign.sqlite, a row a run."""
     from sato.campaigns.definition import read_campaign
     from sato.campaigns.engine import fly_campaign
+    from sato.campaigns.table import SUCCESSES, open_table
     from sato.scenario.definition import errors_in
     from sato.scenario.errors import InputError
 
@@ -75,6 +76,11 @@ def run_command(
         raise
     echo(_describe(folder))
     echo(str(folder))
+    with open_table(folder) as table:
+        exits = table.exits()
+    if exits and not any(exits[name] for name in SUCCESSES):
+        echo(f"sato: none of {exits.total()} runs succeeded", err=True)
+        raise Exit(EXIT_FAILED)
 
 
 @campaign_app.command()

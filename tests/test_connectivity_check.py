@@ -230,7 +230,7 @@ def test_separation_includes_passages_between_instants(rng):
     position = np.array([[[0, 0, 0], [1, 0.1, 0]], [[1, 0, 0], [0, 0.1, 0]]], dtype=float)
     every = np.ones((2, 2), dtype=bool)
     found = find_closest_approach(position, every)
-    assert found.distance == pytest.approx(0.1) and found[1:] == (0, (0, 1))
+    assert found.distance == pytest.approx(0.1) and found[1:] == (0, (0, 1), 0.5)
     lost, never = np.array([[True, True], [True, False]]), np.array([[True, False]] * 2)
     for alive in (lost, every[:1]):
         alone = find_closest_approach(position[: len(alive)], alive)
@@ -249,13 +249,13 @@ def test_separation_includes_fast_passages_between_distant_instants():
     x = np.array([[0.0, 0.5, 60], [0, 19, 60], [19, 0, np.nan], [19, 0, 60]])
     position = np.stack([x, np.tile([0.0, 0.1, 0.0], (4, 1))], axis=2)
     found = find_closest_approach(position, np.ones((4, 3), dtype=bool))
-    assert found == (pytest.approx(0.1), 1, (0, 1))
+    assert found == (pytest.approx(0.1), 1, (0, 1), pytest.approx(0.5, abs=0.05))
 
 
 def test_agents_without_a_next_position_count_where_they_are():
     position = np.array([[[0, 0], [0.1, 0]], [[5, 0], [np.nan, np.nan]]])
     found = find_closest_approach(position, np.ones((2, 2), dtype=bool))
-    assert found == (pytest.approx(0.1), 0, (0, 1))
+    assert found == (pytest.approx(0.1), 0, (0, 1), 0.0)
 
 
 def test_recorded_velocity_is_in_the_world_frame(honest):

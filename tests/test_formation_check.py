@@ -279,7 +279,8 @@ def test_legacy_agents_that_meet_break_separation_alone():
     k = int(np.searchsorted([frame.time for frame in frames], near.time))
     apart = [np.linalg.norm(np.subtract(*f.position[[i, j], :2])) for f in frames[k - 1 : k + 1]]
     assert min(apart) == pytest.approx(near.value, abs=0.02)
-    assert report.line.startswith(f"BROKEN: separation, {near.value:.4g} m < 1.2 m, agents {i} and")
+    assert report.line.startswith(f"BROKEN: separation, {near.value:.4g} m < 1.175 m, the keep-out")
+    assert report.line.endswith(f"agents {i} and {j} at {round(near.time, 3):g} s")
 
 
 def test_altered_avoidance_of_a_legacy_flight_breaks_its_gridlocks():

@@ -38,7 +38,7 @@ class Promise(NamedTuple):
         """Message with agents and time: "0.053 m < 1 m, agents 0 and 1 at 17.3 s"."""
         plural = "s" * (len(self.agents) > 1)
         where = [f"agent{plural} {join_names(self.agents, 'and')}"] if self.agents else []
-        where += [] if self.time is None else [f"at {self.time:.6g} s"]
+        where += [] if self.time is None else [f"at {round(self.time, 3):.9g} s"]
         return ", ".join(filter(None, [self.message, " ".join(where)]))
 
 

@@ -190,7 +190,7 @@ def check_separation(record: FormationRecord) -> Promise:
     keep_out, found = record.mission.keep_out, record.closest_approach
     noise = min(NOISE_SIGMAS * record.mission.frames.noise, NOISE_ALLOWANCE)
     allowed = keep_out - noise
-    text = f", with keep_out_m = {keep_out:g} m less {noise:g} m for noise" * (noise > 0)
+    text = f", the keep-out of {keep_out:g} m less {noise:g} m for noise" * (noise > 0)
     return expect_apart(found.distance, allowed, found.pair, found.time(record.time), text=text)
 
 
