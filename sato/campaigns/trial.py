@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from sato.campaigns.functions import add_modules, find_function
 from sato.resource_usage import peak_memory_mib, reset_peak_memory
 from sato.run_data import json_default
-from sato.runs import run
+from sato.runs import Run, run
 from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, from_dict
 
@@ -127,9 +127,7 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
     except (InputError, ScenarioError) as error:
         outcome |= {"exit": "refused", "error": str(error)}
         return
-    report = flown.report
-    outcome |= {"exit": EXITS[report.verdict], "error": None if report.kept else report.line}
-    outcome["summary"] = flatten(flown.summary)
+    outcome |= judge(flown)
     if trial.columns:
         outcome["columns"] = more_columns(trial.columns, flown)
     if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
@@ -137,6 +135,13 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
         except OSError as error:
             warnings.warn(f"the run could not be kept: {error}", stacklevel=1)
+
+
+def judge(flown: Run) -> Outcome:
+    """Return the exit of a run by the verdict of its check, its line, and the summary."""
+    report = flown.report
+    error = None if report.kept else report.line
+    return {"exit": EXITS[report.verdict], "error": error, "summary": flatten(flown.summary)}
 
 
 def flatten(summary: Mapping[str, Any]) -> dict[str, Any]:

@@ -50,8 +50,8 @@ def check_run(data: RunData, mission: Connectivity, rng: Generator | None = None
         *check_commands(record),
         check_stick(record),
         *check_views(record),
-        *check_graph(record),
         *check_distances(record),
+        *check_graph(record),
     )
     return Report(promises, record.summarize())
 
