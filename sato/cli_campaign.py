@@ -116,6 +116,9 @@ def table(
     show: Show = None,
     where: Where = None,
     rows: Annotated[bool, Option("--rows", help="List single runs.")] = False,
+    sort: Annotated[
+        str, Option(metavar="TERM", help="Sort single runs; the largest first by --sort=-TERM.")
+    ] = "",
     markdown: Annotated[bool, Option("--markdown", help="As a table of Markdown.")] = False,
 ) -> None:
     """Tabulate groups of runs: rates and means with 95 % intervals, and other statistics."""
@@ -126,7 +129,7 @@ def table(
 
     with open_table(folder) as campaign, errors_in(""):
         given = campaign, by, show or (), where or ()
-        shown = list_runs(*given) if rows else group_runs(*given).text()
+        shown = list_runs(*given, sort) if rows or sort else group_runs(*given).text()
     print_rows(*shown, markdown)
 
 

@@ -153,7 +153,9 @@ class Run:
             raise InputError("", f"runs of {system.name} have no scene that a viewer could show")
         if not len(self.recorded["time"]):
             raise record.RunFileError("the run has no instants, and nothing can be shown")
-        broken = (each for each in self.report.broken if each.agents and each.time is not None)
+        broken = (
+            each for each in self.report.broken if each.agents and np.isfinite(each.time or 0.0)
+        )
         scene = system.scene(self.recorded, self.drawn_mission)
         return replace(scene, verdict=self.report.line, broken=tuple(broken))
 

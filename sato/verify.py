@@ -11,6 +11,7 @@ from sato.check import common
 from sato.check.report import Promise, Report, expect_none
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
+from sato.scenario.errors import InputError
 from sato.scenario.file import load_toml
 from sato.scenario.origin import Origin
 from sato.systems import load_system
@@ -63,7 +64,10 @@ def _check_scenario(data: RunData) -> Promise:
 
 def _check(data: RunData, mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
-    drawn = mission.draw(rng)
+    try:
+        drawn = mission.draw(rng)
+    except InputError as error:
+        raise RunFileError(f"the scenario in the file cannot be flown: {error}") from error
     return load_system(data.attrs["system"]).check(data, drawn, rng)
 
 

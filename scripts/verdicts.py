@@ -177,6 +177,8 @@ def widen(run: Run, rng: Generator, seals: bool) -> tuple[Run, Contact] | None:
     i, j = np.triu_indices(len(first), 1)
     free = float(np.linalg.norm(first[i] - first[j], axis=1).min())
     larger = near.distance + rng.uniform(0.1, 0.5) * min(free - near.distance, 0.4)
+    if system == "formation":
+        larger = min(larger, 1.4)  # the start of its scenario is drawn with 1.5
     if larger < near.distance / CLOSE:
         return None
     if system == "reconfiguration" and first.shape[1] == 3:

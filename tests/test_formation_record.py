@@ -58,7 +58,8 @@ def test_summary_has_all_entries_and_is_plain_json(flown):
     summary = json.loads(json.dumps(run.summary, allow_nan=False))
     assert summary.keys() == {
         "system", "scenario", "seed", "version", "agents", "min_separation_m", "wall_s",
-        "peak_memory_mib", "success", "shape_error_m", "path_m", "time_s", "reassignments",
+        "peak_memory_mib", "verdict", "success", "reached", "shape_error_m", "path_m", "time_s",
+        "reassignments",
         "gridlocked_s", "bytes_per_vehicle_s", "longest_auction_s", "keep_out_m", "gains_rate",
         "legs", "broken",
     }  # fmt: skip

@@ -177,13 +177,25 @@ def group_runs(
 
 
 def list_runs(
-    table: CampaignTable, by: Texts | None = None, show: Texts = (), where: Texts = ()
+    table: CampaignTable,
+    by: Texts | None = None,
+    show: Texts = (),
+    where: Texts = (),
+    sort: str = "",
 ) -> tuple[list[str], list[list[str]]]:
-    """List single runs as text, of errors the last line; arguments as of `group_runs`."""
+    """List single runs as text, of errors the last line; arguments as of `group_runs`.
+
+    They are sorted by a term, the largest values first after a minus, those without one last.
+    """
     names = ["row", "seed", *(table.groups if by is None else by)]
     terms = [*column_terms(table, names), *parse_terms(table, show)]
     terms += column_terms(table, ["exit", "error"])
     rows = select(table, terms, where)
+    if sort:
+        keys = [key for (key,) in select(table, [parse_term(sort.lstrip("-"), table)], where)]
+        known = [k for k, key in enumerate(keys) if key is not None]
+        order = sorted(known, key=lambda k: (str(type(keys[k])), keys[k]), reverse=sort[0] == "-")
+        rows = [rows[k] for k in [*order, *(k for k, key in enumerate(keys) if key is None)]]
     texts = [[format_value(cell).strip().rpartition("\n")[2] for cell in row] for row in rows]
     return [term.label for term in terms], texts
 

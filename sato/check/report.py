@@ -56,10 +56,7 @@ def expect_none(name: str, violations: ArrayLike, text: str, time: Times = None)
 def expect_small_error(
     name: str, errors: ArrayLike, tolerance: float, text: str, time: Times = None
 ) -> Promise:
-    """Promise that the largest of all errors is within its tolerance.
-
-    Of an array by instant and agent, with times, the promise tells the agent and time.
-    """
+    """Promise that the largest of all errors is within its tolerance; times as `expect_none`."""
     worst = largest(errors)
     is_kept = bool(worst <= tolerance)
     message = f"{worst:.3g} {text}" + f", {tolerance:.3g} allowed" * (not is_kept)
@@ -71,7 +68,7 @@ def expect_below(
 ) -> Promise:
     """Promise that a quantity does not exceed its limit, but for a relative tolerance.
 
-    Of an array by instant and agent, with times, the promise tells the agent and time.
+    Times as of `expect_none`.
     """
     most = largest(values)
     text = f"{format_value(most, limit, 6)} {text}, {limit:.6g} allowed"
@@ -83,18 +80,7 @@ def expect_apart(
     distance: float, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
     name: str = "separation", unit: str = "m", text: str = "",
 ) -> Promise:  # fmt: skip
-    """Promise that a distance [m], which is known to an error, is as large as it must be.
-
-    Args:
-        distance: Least distance.
-        allowed: Least distance that keeps the promise.
-        agents: Agents that are so near.
-        time: Time at which they are [s].
-        error: Largest error of the distance.
-        name: Name of the promise.
-        unit: Unit of the distances, or what they are relative to.
-        text: Remark.
-    """
+    """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept, known = bool(distance - error >= allowed), f" − {error:.1g}" * (error > 0)
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"

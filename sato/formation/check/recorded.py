@@ -114,6 +114,7 @@ def summarize_flight(record: FormationRecord) -> dict[str, Any]:
     rounds = [int(event["rounds"]) for _, event in record.events.of_kind("auction")]
     return common.drop_non_finite(
         {
+            "reached": not find_faults(record),
             "shape_error_m": max(errors, default=np.nan),
             **{key: sum(leg[key] for leg in legs) for key in ("path_m", "time_s", "reassignments")},
             "gridlocked_s": gridlocked * mission.frame_period,
