@@ -238,18 +238,12 @@ def test_a_file_that_contradicts_its_scenario_is_broken_and_still_shown(collided
 
 
 @pytest.mark.parametrize("seals", [True, False])
-def test_a_file_whose_scenario_cannot_be_drawn_is_broken(saved, seals):
-    _, run = saved
-    keys = {"crossing": "collision_radius_m = 1.0", "formation6": "keep_out_m = 1.2"}
-    text = run.recorded.attrs["scenario"]
-    if run.summary["scenario"] not in keys:
-        pytest.skip("its start is drawn whatever the distances are")
-    key = keys[run.summary["scenario"]]
-    attrs = {**run.recorded.attrs, "scenario": text.replace(key, key.split("=")[0] + "= 90.0")}
-    assert attrs["scenario"] != text
-    data = replace(run.recorded, attrs=attrs)
-    mission = sato.parse(attrs["scenario"])
-    forged = Run(data.seal() if seals else data, run.summary | {"success": True}, mission)
+def test_a_file_whose_scenario_cannot_be_drawn_is_broken(seals):
+    run = sato.run("formation6", overrides=["limit_s=3"])  # starts 1.5 m apart
+    text = run.recorded.attrs["scenario"].replace("keep_out_m = 1.2", "keep_out_m = 1.7")
+    data = replace(run.recorded, attrs={**run.recorded.attrs, "scenario": text})
+    claimed = run.summary | {"success": True}
+    forged = Run(data.seal() if seals else data, claimed, sato.parse(text))
     assert forged.report.line.startswith("BROKEN: file, ") and not forged.summary["success"]
 
 
