@@ -144,7 +144,7 @@ def test_a_collision_with_an_obstacle_tells_which_and_when():
     assert "obstacles, 0.1 m < 0.2 m to obstacle 0, a box, agent 0 at " in run.report.line
 
 
-def test_an_agent_that_misses_its_target_is_told_with_leg_target_and_distance():
+def test_a_missed_target_is_told_with_leg_agent_and_distance():
     mission = make_crossing(0.9)
     frames = fly_straight(mission, own_targets=True)
     frames[-1] = frames[-1]._replace(position=np.add(frames[-1].position, [[0, 0], [0.4, 0]]))

@@ -180,9 +180,8 @@ class Report:
         return {**self.summary, "broken": [promise.name for promise in self.broken]}
 
     def __str__(self) -> str:
-        """Tell the verdict, how many promises were kept, and which were not."""
-        kept = f"{len(self.promises) - len(self.broken)} of {len(self.promises)} promises kept"
-        return "\n".join([self.line, kept, *(f"{p.name} broken: {p.text}" for p in self.broken)])
+        """Tell the verdict, and the promises that do not hold."""
+        return "\n".join([self.line, *(f"  {each.name}: {each.text}" for each in self.broken)])
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, fit for JSON."""
