@@ -21,9 +21,9 @@ from sato.figures.axes import (
     add_legend,
     draw_paths,
     escape_formulas,
-    mark_broken,
     set_axis_bounds,
 )
+from sato.figures.panels import mark_broken
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY
 from sato.scene import ABSENT, ALIVE, LOST, ORBIT, Coloring, SwarmScene, list_links
 

@@ -112,9 +112,8 @@ class Run:
         Without the mission, entries that need it are claimed ones, but for success and verdict.
         """
         first = record.initial_summary(self.recorded.attrs)
-        return (first if self.mission is not None else {**self.claimed, **first}) | (
-            self.report.entries
-        )
+        claimed = self.claimed if self.mission is None else {}
+        return {**claimed, **first, **self.report.entries}
 
     @property
     def verdict(self) -> Verdict:

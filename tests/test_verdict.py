@@ -6,8 +6,9 @@ from html import escape
 
 import numpy as np
 import pytest
-from recorded_run import altered, fly_straight, make_crossing, recorded
+from recorded_run import altered, fly_straight, in_order, make_crossing, recorded
 from test_cli import call
+from test_forgeries import forged
 from test_python_missions import PLANE, Damped
 
 import sato
@@ -293,3 +294,14 @@ def test_a_campaign_without_any_success_exits_with_one(tmp_path, monkeypatch, ra
     result = call("campaign", "run", "all.toml", "--out", "here", "--workers", "1")
     assert result.exit_code == code, result.output
     assert ("none of 2 runs succeeded" in result.stderr) == bool(code)
+
+
+def test_clocks_that_the_seed_does_not_give_hide_no_collision():
+    cross = np.array([[-4.0, 0, 0, 0], [0, -4.0, 0, 0]])
+    legs = (Leg(in_order(-cross), 15),)
+    flown = replace(make_crossing(0.15), start=cross, legs=legs)
+    honest = recorded(flown, own_targets=True)
+    told = {"time": 0.0, "kind": "clocks", "agents": [0, 1], "steps": [0, 6]}
+    assert {each.name for each in honest.report.broken} == {"separation"}
+    run = forged(honest, [*honest.events(), told])
+    assert {each.name for each in run.report.broken} == {"times"} and run.verdict == "broken"

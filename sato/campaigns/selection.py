@@ -124,16 +124,21 @@ def quote(column: str, table: CampaignTable) -> str:
     return f"CASE WHEN json_valid({quoted}) THEN json_extract({quoted}, '${path}') END"
 
 
-def select(table: CampaignTable, terms: Sequence[Term], where: Texts = ()) -> list[tuple[Any, ...]]:
-    """Read the values of terms, one row a run, in the order of the runs."""
+def select(
+    table: CampaignTable, terms: Sequence[Term], where: Texts = (), sort: str = ""
+) -> list[tuple[Any, ...]]:
+    """Read the values of terms, one row a run, in the order of the runs, or sorted by a term."""
+    order = [parse_term(sort.removeprefix("-"), table)] if sort else []
     conditions = [parse_term(text, table) for text in where]
     for text, condition in zip(where, conditions, strict=True):
         if not condition.is_rate:
             raise InputError("", f'"{text}" is not a condition, such as COLUMN=VALUE')
-    parameters = [p for term in (*terms, *conditions) for p in term.parameters]
+    parameters = [p for term in (*terms, *conditions, *order) for p in term.parameters]
     shown = ", ".join(term.sql for term in terms) or "NULL"
     kept = " AND ".join(f"({condition.sql})" for condition in conditions) or "1"
-    return list(table.query(f"SELECT {shown} FROM runs WHERE {kept} ORDER BY row", parameters))
+    keys = [f"{term.sql} {'DESC' * sort.startswith('-')} NULLS LAST, " for term in order]
+    text = f"SELECT {shown} FROM runs WHERE {kept} ORDER BY {''.join(keys)}row"
+    return list(table.query(text, parameters))
 
 
 def parse_terms(table: CampaignTable, show: Texts = ()) -> list[Term]:
@@ -190,12 +195,7 @@ def list_runs(
     names = ["row", "seed", *(table.groups if by is None else by)]
     terms = [*column_terms(table, names), *parse_terms(table, show)]
     terms += column_terms(table, ["exit", "error"])
-    rows = select(table, terms, where)
-    if sort:
-        keys = [key for (key,) in select(table, [parse_term(sort.lstrip("-"), table)], where)]
-        known = [k for k, key in enumerate(keys) if key is not None]
-        order = sorted(known, key=lambda k: (str(type(keys[k])), keys[k]), reverse=sort[0] == "-")
-        rows = [rows[k] for k in [*order, *(k for k, key in enumerate(keys) if key is None)]]
+    rows = select(table, terms, where, sort)
     texts = [[format_value(cell).strip().rpartition("\n")[2] for cell in row] for row in rows]
     return [term.label for term in terms], texts
 

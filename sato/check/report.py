@@ -64,16 +64,20 @@ def expect_small_error(
 
 
 def expect_below(
-    name: str, values: ArrayLike, limit: float, relative: float, text: str, time: Times = None
+    name: str, values: ArrayLike, limit: ArrayLike, relative: float, text: str, time: Times = None
 ) -> Promise:
-    """Promise that a quantity does not exceed its limit, but for a relative tolerance.
+    """Promise that quantities do not exceed their limits, but for a relative tolerance.
 
-    Times as of `expect_none`.
+    The promise is about the value largest over its limit; times as of `expect_none`.
     """
-    most = largest(values)
-    text = f"{format_value(most, limit, 6)} {text}, {limit:.6g} allowed"
-    is_kept = bool(most <= limit * (1 + relative))
-    return _locate(Promise(name, is_kept, most, limit, text), values, time)
+    sizes, most = np.broadcast_arrays(np.abs(values), limit)
+    if not sizes.size:
+        return Promise(name, True, 0.0, 0.0, f"none {text}")
+    shares = sizes / np.where(np.isinf(most), 1e300, np.maximum(most, 1e-300))
+    value, least = (float(each.flat[int(np.argmax(shares))]) for each in (sizes, most))
+    text = f"{format_value(value, least, 6)} {text}, {least:.6g} allowed"
+    is_kept = bool(value <= least * (1 + relative))
+    return _locate(Promise(name, is_kept, value, least, text), shares, time)
 
 
 def expect_apart(

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]  # no stubs
 from numpy import ndarray as Array
 
-from sato.figures.style import GRAY, VIVID
+from sato.figures.style import GRAY
 
 PADDING = 0.04  # around what is shown, in the size of it
 KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometers [m]
@@ -143,12 +143,6 @@ def draw_ends(
     mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": ms, "zorder": 4}
     ax.plot(*first.T, **mark, mfc="white", mec=GRAY, mew=0.7, label="start")
     ax.plot(*path[-1].T / space.unit[0], **mark, color=color, mew=0, label="end")
-
-
-def mark_broken(ax: Any, unit: float, places: Float[Array, "agents d"], name: str) -> None:
-    """Mark the places [m] at which agents break a promise, on axes of a unit [m]."""
-    look: dict[str, Any] = {"ls": "", "ms": 11, "mfc": "none", "mec": VIVID, "mew": 1.8}
-    ax.plot(*places.T / unit, "o", **look, zorder=9, label=f"broken: {name}")
 
 
 def add_titles(axes: Iterable[Any], titles: Sequence[str], **options: Any) -> None:

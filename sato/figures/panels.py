@@ -1,4 +1,4 @@
-"""Panels over time: intervals, legs, limits and the spread of a quantity over the swarm."""
+"""Panels over time: intervals, legs, limits and spreads of quantities; marks of broken promises."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from jaxtyping import Float, Shaped
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from sato.figures.style import BLUE, DARK_GRAY, RED, SKY
+from sato.figures.style import BLUE, DARK_GRAY, RED, SKY, VIVID
 
 
 class Interval(NamedTuple):
@@ -77,3 +77,9 @@ def plot_spread(ax: Any, time: Float[Array, " k"], each: Float[Array, "k agents"
     low, high = np.fmin.reduce(each, axis=1), np.fmax.reduce(each, axis=1)
     ax.fill_between(time, low, high, color=SKY, alpha=0.45, lw=0, label="all agents")
     ax.plot(time, median, color=BLUE, lw=1.0, label="median")
+
+
+def mark_broken(ax: Any, unit: float, places: Float[Array, "agents d"], name: str) -> None:
+    """Mark the places [m] at which agents break a promise, on axes of a unit [m]."""
+    look: dict[str, Any] = {"ls": "", "ms": 11, "mfc": "none", "mec": VIVID, "mew": 1.8}
+    ax.plot(*places.T / unit, "o", **look, zorder=9, label=f"broken: {name}")

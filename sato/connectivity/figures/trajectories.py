@@ -13,15 +13,8 @@ from numpy import ndarray as Array
 from sato.connectivity.check.promises import check_distances
 from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.obstacles import Obstacles
-from sato.figures.axes import (
-    AxisBounds,
-    add_axes,
-    add_legend,
-    add_titles,
-    draw_ends,
-    draw_paths,
-    mark_broken,
-)
+from sato.figures.axes import AxisBounds, add_axes, add_legend, add_titles, draw_ends, draw_paths
+from sato.figures.panels import mark_broken
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, PURPLE, RED, SKY
 
 DOT_INTERVAL = 5.0  # between dots on a trajectory, as in the paper [s]

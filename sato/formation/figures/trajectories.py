@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from problems.alignment import align, compute_shape_error
 from problems.desired_formation import DesiredFormation
 from sato.figures import panels
-from sato.figures.axes import AxisBounds, add_legend, add_titles, mark_broken
+from sato.figures.axes import AxisBounds, add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, LIGHT_GRAY, ORANGE, RED, SKY
 from sato.formation.check.promises import check_separation
 from sato.formation.check.recorded import FormationLegRecord, FormationRecord
@@ -124,7 +124,7 @@ def _draw_scene(ax: Any, scene: LegScene, view: tuple[int, int], size: Float[Arr
     ax.plot(*points.T, "+", ms=4.7, mew=0.7, color=GRAY, zorder=1.2, label="point of the formation")
     ax.add_collection(_fading_paths(path))
     if len(scene.close):
-        mark_broken(ax, 1.0, scene.close[:, view], "separation")
+        panels.mark_broken(ax, 1.0, scene.close[:, view], "separation")
     if len(scene.missed):
         ways: dict[str, Any] = {"colors": RED, "lw": 0.8, "ls": ":", "label": "to its own point"}
         ends = np.stack([path[-1], scene.missed[:, view]], axis=1)

@@ -1,5 +1,7 @@
 """Promises of a reconfiguration: the file agrees with its mission, its seed and itself."""
 
+from copy import deepcopy
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -29,6 +31,7 @@ from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.check.summary import find_fault, is_reached, summarize
 from sato.reconfiguration.mission import Reconfiguration
+from sato.reconfiguration.network_decision import whole_steps
 from sato.reconfiguration.record import CHIEF_ELEMENTS, collect_attributes, stack_targets
 from sato.record import RunFileError
 from sato.run_data import RunData
@@ -38,7 +41,6 @@ PROMISES = tuple(
     " speed targets legs assignment blocked believed separation obstacles drifts reached"
     " fuel".split()
 )
-PerAgent = Float[Array, "instants agents"]
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
 
@@ -50,13 +52,14 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
     given, wanted = record.state.shape[1], len(mission.initial_states)
     if given != wanted:
         raise RunFileError(f"the run file has {given} agents, and its scenario {wanted}")
+    times = check_clocks(record, rng)
     schedule, measured, applied = redraw(record, rng)
     ended = {leg.leg_index for leg in record.leg_records if leg.end_event is not None}
-    unended = _list_legs("that did not end", set(range(len(mission.legs))) - ended)
+    unended = "legs that did not end" if len(ended) < len(mission.legs) else ""
     promises = (
         common.check_complete(record.attributes, unended),
         common.check_attributes(record.attributes, collect_attributes(mission)),
-        common.check_times(log, mission.step),
+        times,
         check_chief(record),
         check_finite(record),
         check_start(record),
@@ -79,6 +82,16 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
         check_fuel(record),
     )
     return Report(promises, summarize(record))
+
+
+def check_clocks(record: ReconfigurationRecord, rng: np.random.Generator) -> Promise:
+    """Check instants, and that clocks are behind by the steps that the seed gives."""
+    mission, promise = record.mission, common.check_times(record.events, record.mission.step)
+    delay = deepcopy(rng).spawn(1)[0].uniform(0.0, mission.link.skew, len(mission.initial_states))
+    drawn = whole_steps(mission, delay)
+    if [event["steps"] for _, event in record.events.of_kind("clocks")] == [drawn] * bool(drawn):
+        return promise
+    return promise._replace(kept=False, message="clocks that the seed does not give")
 
 
 def check_chief(record: ReconfigurationRecord) -> Promise:
@@ -169,8 +182,8 @@ def check_control_limit(record: ReconfigurationRecord) -> Promise:
     """Check that no commanded control exceeds its limit."""
     limits = [record.mission.control_limit(i) for i in range(record.state.shape[1])]
     size = np.where(record.is_flying, _measure(limits, record.frames.control[:-1]), 0.0)
-    most = np.broadcast_to([limit.most for limit in limits], size.shape)
-    return _expect_below_own("control", size, most, size / most, "m/s² commanded", record.time)
+    most = [limit.most for limit in limits]
+    return expect_below("control", size, most, LIMIT_TOLERANCE, "m/s² commanded", record.time)
 
 
 def check_speed_limit(record: ReconfigurationRecord) -> Promise:
@@ -184,25 +197,12 @@ def check_speed_limit(record: ReconfigurationRecord) -> Promise:
     limits = [record.mission.speed_limit(i) for i in range(alive.shape[1])]
     speed = np.where(alive, _measure(limits, record.frames.velocity), 0.0)
     most = np.array([limit.most for limit in limits])
-    if not alive.any() or np.isinf(most).all():
-        return expect_below("speed", speed, most.max(), LIMIT_TOLERANCE, "m/s flown", record.time)
     # A vector of length 1 is at most so large in the norm of the limit.
     stretch = np.array([1 / limit.shares.min() for limit in limits])
     stretch *= np.sqrt(record.mission.axes) if record.mission.speed_norm == 1 else 1.0
-    allowed = most + bound_speed_excess(record) * stretch
-    excess = np.where(alive, speed - allowed, -np.inf)
-    return _expect_below_own("speed", speed, allowed, excess, "m/s flown", record.time)
-
-
-def _expect_below_own(
-    name: str, size: PerAgent, most: PerAgent, excess: PerAgent, text: str, time: Array
-) -> Promise:
-    """Promise that sizes are below their own limits, by the one of the largest excess."""
-    if not excess.size:
-        return expect_below(name, 0.0, 0.0, LIMIT_TOLERANCE, text)
-    k, i = np.unravel_index(int(np.argmax(excess)), excess.shape)
-    promise = expect_below(name, size[k, i], float(most[k, i]), LIMIT_TOLERANCE, text)
-    return promise._replace(agents=(int(i),), time=float(time[k]))
+    if alive.any() and not np.isinf(most).all():
+        most = most + bound_speed_excess(record) * stretch
+    return expect_below("speed", speed, most, LIMIT_TOLERANCE, "m/s flown", record.time)
 
 
 def _measure(
@@ -312,7 +312,3 @@ def check_fuel(record: ReconfigurationRecord) -> Promise:
             shortfalls.append(compute_energy_shortfall(record, leg, record.energy_bounds[k]))
     text = "a leg's fuel or energy below its lower bound, relative"
     return expect_small_error("fuel", np.maximum(shortfalls, 0), 1e-6, text)
-
-
-def _list_legs(what: str, legs: set[int]) -> str:
-    return f"legs {what}: {', '.join(str(leg + 1) for leg in sorted(legs))}" if legs else ""

@@ -13,8 +13,8 @@ from sato.figures.axes import (
     draw_ends,
     draw_paths,
     make_panels,
-    mark_broken,
 )
+from sato.figures.panels import mark_broken
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, RED
 from sato.reconfiguration.check.promises import check_obstacles, check_separation
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
