@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.box import HEAVY_HEAD, MARKDOWN
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
 
@@ -110,8 +111,7 @@ def print_report(report: Report) -> None:
         shown = (format_value(value, limit), format_value(limit), promise.message)
         table.add_row(promise.name, "yes" if promise.kept else "NO", *shown)
     for name in report.skipped:
-        reason = "skipped: it needs the mission, sato.load(path, mission=…)"
-        table.add_row(name, "?", "", "", reason)
+        table.add_row(name, "?", "", "", f"skipped: {escape(report.skip_reason)}")
     Console().print(table)
 
 

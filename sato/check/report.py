@@ -52,6 +52,7 @@ class Report:
     promises: tuple[Promise, ...]
     summary: dict[str, Any]  # as in summary.json, without time and memory
     skipped: tuple[str, ...] = ()  # promises that could not be recomputed
+    skip_reason: str = ""
 
     @property
     def broken(self) -> tuple[Promise, ...]:
@@ -61,7 +62,10 @@ class Report:
     def __str__(self) -> str:
         """Tell how many promises were kept, and which were not."""
         kept = f"{len(self.promises) - len(self.broken)} of {len(self.promises)} promises kept"
-        return "\n".join([kept, *(f"{each.name} broken: {each.message}" for each in self.broken)])
+        lines = [kept, *(f"{each.name} broken: {each.message}" for each in self.broken)]
+        if self.skipped:
+            lines.append(f"skipped: {', '.join(self.skipped)}: {self.skip_reason}")
+        return "\n".join(lines)
 
     @property
     def kept(self) -> bool:
@@ -74,6 +78,7 @@ class Report:
             "kept": self.kept,
             "promises": [finite_or_none(promise._asdict()) for promise in self.promises],
             "skipped": list(self.skipped),
+            "skip_reason": self.skip_reason,
             "summary": self.summary,
         }
 
