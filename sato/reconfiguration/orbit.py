@@ -20,7 +20,14 @@ from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.j2 import invariant_velocity
 from dynamics.orbit import Orbit
 from dynamics.units import Unit
-from sato.scenario.definition import LATER, Coordinates, Definition, NotNegative, Positive
+from sato.scenario.definition import (
+    LATER,
+    Coordinates,
+    Definition,
+    NotNegative,
+    Positive,
+    errors_in,
+)
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 
 YEARS = 1, 9998  # of an epoch: exports write years of four digits, a flight later too
@@ -246,7 +253,8 @@ class Chief(Definition):
         elif way == "position_m":
             self._check_state(needed["position_m"], needed["velocity_m_s"])
         else:
-            _ = self.orbit
+            with errors_in("radius_m"):
+                _ = self.orbit
 
     def _check_elements(self, a: float) -> None:
         e, i = self.eccentricity or 0.0, self.inclination or 0.0
