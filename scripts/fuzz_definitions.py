@@ -26,10 +26,12 @@ from numpy.random import Generator
 import sato
 from dynamics.model import Model
 from dynamics.plant import Plant
+from problems.desired_formation import DesiredFormation
 from sato.scenario.definition import Field, fields_of, is_definition, is_named_tuple
 from sato.scenario.file import Mission, describe_own
 from sato.scenario.table import find_own
 
+MOVED = {"Poses.yaw"}  # fields that become others: here the yaw of the mission
 TRIES = 40  # draws of a value before a field counts as refused
 OWN_SHARE = 0.15  # of missions with a value of the user's own
 NUMBERS = (0.0, -0.0, 1.0, 1 / 3, 1e-30, 1e-9, 1e6, 3, 2, 7, np.float64(0.1), np.float32(0.1))
@@ -79,6 +81,43 @@ class Euler(sato.Plant):
             x = x + h * np.hstack([v + h * u / 2, u - self.friction * v])
             states.append(x)
         return np.array(states)
+
+
+def draw_together(what: str, axes: int, rng: Generator) -> dict[str, Any]:
+    """Draw values that a definition takes together alone, for a field of it; or none."""
+    x, several = float(rng.uniform(0.05, 0.3)), tuple(rng.uniform(0.1, 0.3, axes).tolist())
+    drag = {"drag": True, "ballistic": x, "ballistic_spread": x, "chief_ballistic": x}
+    air = {"density": 1e-12 * x, "altitude": 4e5 * x, "scale_height": 5e4 * x}
+    box = np.array([[0.0, 0, 3], [2, 0, 3], [0, 2, 3], [2, 2, 3], [4, 0, 3.5], [4, 2, 3]]) + x
+    state = {"position": (7e6 + x, 0.0, 1e3), "velocity": (0.0, 7.5e3 + x, 1.0)}
+    cube = {"normals": np.vstack([np.eye(axes), -np.eye(axes)]), "offsets": (1.0 + x,) * 2 * axes}
+    no_elements = dict.fromkeys("semi_major_axis eccentricity inclination node perigee".split())
+    no_elements |= dict.fromkeys("anomaly radius radial_speed angular_momentum latitude".split())
+    date = f"{rng.integers(1, 9998):04}-02-28T23:59:59.{rng.integers(10**6):06}"
+    paper = {"legacy": True, "unwrapped_angles": True, "avoidance_range": 1.5 + x}
+    found: dict[str, dict[str, Any]] = {
+        "Reconfiguration.max_control_axes": {"max_control": None, "max_control_axes": several},
+        "Reconfiguration.max_speed_axes": {"max_speed": float("inf"), "max_speed_axes": several}
+        | {"speed_norm": "inf"},
+        "Reconfiguration.bargains": {"orders": 2, "bargains": int(rng.integers(1, 4))},
+        "Reconfiguration.epsilon": {"epsilon": x},
+        "Reconfiguration.solver": {"solver": "piqp", "fuel_norm": 1, "speed_norm": "inf"},
+        "Reconfiguration.passive_safety_time": {"passive_safety": 60.0, "passive_safety_time": x},
+        "Chief.position": no_elements | state,
+        "Chief.velocity": no_elements | state,
+        "Chief.epoch": {"epoch": date + str(pick(["", "Z", "+02:00", "-11:30"], rng))},
+        "Chief.k_j2": {"j2": None, "k_j2": 1e25 * x},
+        "Polytope.normals": {"points": None} | cube,
+        "Leg.time_factor": {"steps": "auto", "time_factor": 1.2 + x},
+        "Link.outage": {"outage": x, "outage_share": x},
+        "Link.outage_share": {"outage": x, "outage_share": x},
+        "EdgeList.pairs": {"pairs": np.array([[0, 1], [1, 2], [0, 2]])[: rng.integers(1, 4)]},
+        "Connectivity.yaw": {"start": box, "yaw": rng.uniform(-3, 3, 6)},
+        "Poses.positions": {"positions": box},
+        "CollisionAvoidance.legacy": paper,
+    }
+    drags = {f"PlantSettings.{name}": drag | air for name in drag | air}
+    return (found | drags).get(what, {})
 
 
 class Spot(NamedTuple):
@@ -158,6 +197,8 @@ def bases() -> dict[str, list[Mission]]:
             (None, sato.ClohessyWiltshire(1e-3)),
         )
     ]
+    poses = np.array([[3.0 * k, 3.0 * (k % 2), 3.0] for k in range(6)])
+    found["connectivity"] += [sato.Connectivity(start=poses, yaw=np.zeros(6))]
     return found
 
 
@@ -187,12 +228,16 @@ def draw_definition(kind: Any, axes: int, rng: Generator) -> Any:
         InputError: No draw makes one.
     """
     for k in range(TRIES):
-        values = {}
+        values: dict[str, Any] = {}
         for field in fields_of(kind):
-            if field.name == "file":
+            together = draw_together(f"{kind.__name__}.{field.name}", axes, rng)
+            if together and field.default is MISSING:
+                values |= together
+            elif field.name == "file":
                 values["file"] = FILES.get(kind.__name__)
-            elif field.default is MISSING or (field.default is None and rng.random() < 0.3):
-                values[field.name] = draw_value(field, None, axes, rng)
+            elif field.default is MISSING or rng.random() < 0.3:
+                now = None if field.default is MISSING else field.default
+                values[field.name] = draw_value(field, now, axes, rng)
         try:
             return kind(**{name: v for name, v in values.items() if v is not None})
         except (sato.InputError, TypeError):
@@ -329,7 +374,7 @@ def check(mission: Mission) -> Iterator[str]:
     copies = pickle.loads(pickle.dumps(mission)), copy.deepcopy(mission), replace(mission)
     for name, again in zip(("pickle", "deepcopy", "replace"), copies, strict=True):
         yield from compare(name, mission, again)
-    text, own = mission.to_toml(), list(count_own(mission))
+    text, own = mission.to_toml(), list(count_own(mission.without_files()))
     named = [kind.rpartition(".")[2] for _, kind in find_own(tomllib.loads(text))]
     if sorted(named) != sorted(own):
         yield f"to_toml: names {named}, and there are {own}"
@@ -355,7 +400,7 @@ def check_flight(mission: Any, folder: Path) -> Iterator[str]:
     except ValueError:
         return
     run.save(folder)
-    own, loaded = list(count_own(mission)), sato.load(folder)
+    own, loaded = list(count_own(mission.without_files())), sato.load(folder)
     report = loaded.check()
     if own:
         given = sato.load(folder, mission=mission).check()
@@ -388,7 +433,14 @@ def vary(number: int, rng: Generator) -> tuple[Mission | None, str]:
             held = [spot for spot in spots(mission) if spot.holder is kind]
             spot = pick([spot for spot in held if spot.field.name == field.name], rng)
             path = (*spot.path, field.name)
-            changed = put(mission, path, draw_value(field, get(mission, path), axes, rng))
+            together = draw_together(what, axes, rng)
+            if together:
+                holder = get(mission, spot.path)
+                named = is_named_tuple(type(holder))
+                new = holder._replace(**together) if named else replace(holder, **together)
+                changed = put(mission, spot.path, new)
+            else:
+                changed = put(mission, path, draw_value(field, get(mission, path), axes, rng))
         except (sato.InputError, LookupError, TypeError):
             continue
         if changed != mission:
@@ -422,6 +474,10 @@ def write_files(folder: Path) -> None:
         path = folder / f"{kind}.csv"
         path.write_text(text, encoding="utf-8")
         FILES[kind] = str(path)
+    corners = np.array([[4.0 * k, 3.0 * (k % 2), 1.0] for k in range(6)])
+    gains = sato.design_gains(DesiredFormation(corners, ~np.eye(6, dtype=bool)))
+    FILES["GainsFile"] = str(folder / "gains.npz")
+    gains.save(FILES["GainsFile"])
     import matplotlib.image
 
     FILES["Picture"] = str(folder / "picture.png")
@@ -477,7 +533,7 @@ def main() -> int:
     wrong, ends, kept = fuzz(given.count, given.seed, given.flights)
     print("\n".join(wrong))
     names = {f"{kind.__name__}.{field.name}" for _, kind, field in targets()}
-    lacking = sorted(names - kept) if given.count >= len(targets()) else []
+    lacking = sorted(names - kept - MOVED) if given.count >= len(targets()) else []
     print(f"{dict(ends)}; {len(kept)} of {len(names)} fields varied; not: {', '.join(lacking)}")
     return 1 if wrong or lacking else 0
 

@@ -91,7 +91,9 @@ def _as_pairs(value: Any) -> Array:
     pairs = np.asarray(value)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or pairs.min() < 0:
         raise InputError("", "must be a list of pairs of points, counted from 0")
-    return pairs.astype(int)
+    pairs = pairs.astype(int)
+    pairs.setflags(write=False)
+    return pairs
 
 
 @dataclass(frozen=True, eq=False, repr=False)
