@@ -173,13 +173,11 @@ class SchweighartSedwick(CircularOrbitModel):
     def __post_init__(self) -> None:
         """Complete the gravity; check the orbit, and that J2 is a small perturbation."""
         validate_inclination(self.inclination)
-        k_J2, body_radius = complete_gravity(self.mu, self.k_J2, self.body_radius)
-        object.__setattr__(self, "k_J2", k_J2)
-        object.__setattr__(self, "body_radius", body_radius)
-        if not body_radius < self.radius < inf:
+        complete_gravity(self)
+        if not self.body_radius < self.radius < inf:
             raise ValueError(
                 f"radius: must be above {find_body(self.mu).name}'s, "
-                f"{body_radius / 1e3:.0f} km, measured from the center and in meters, got "
+                f"{self.body_radius / 1e3:.0f} km, measured from the center and in meters, got "
                 f"{self.radius} m"
             )
         if not abs(self._j2_ratio) < 0.1:

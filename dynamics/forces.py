@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.bodies import EARTH_MU, FROM_MU, complete_gravity, find_body, is_earth
+from dynamics.bodies import EARTH, EARTH_MU, FROM_MU, complete_gravity, find_body
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
 
@@ -26,14 +26,10 @@ class Forces:
 
     def __post_init__(self) -> None:
         """Complete the gravity, and refuse the Earth's air about another body."""
-        k_J2, body_radius = complete_gravity(self.mu, self.k_J2, self.body_radius)
-        object.__setattr__(self, "k_J2", k_J2)
-        object.__setattr__(self, "body_radius", body_radius)
-        if self.atmosphere is not None and not is_earth(self.mu):
-            raise ValueError(
-                f"atmosphere: the air is the Earth's, and mu = {self.mu:.6g} m³/s² is that of "
-                f"{find_body(self.mu).name}; None would do"
-            )
+        complete_gravity(self)
+        if self.atmosphere is not None and find_body(self.mu) is not EARTH:
+            reason = f"the air is the Earth's, and mu is that of {find_body(self.mu).name}"
+            raise ValueError(f"atmosphere: {reason}; None would do")
 
     def acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars = 0.0) -> Vectors:
         """Return the acceleration of one spacecraft or of many [m/s²]."""

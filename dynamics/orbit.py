@@ -76,9 +76,7 @@ class Orbit:
 
     def __post_init__(self) -> None:
         """Complete the gravity, and check that the state is on an ellipse above the surface."""
-        k_J2, body_radius = complete_gravity(self.mu, self.k_J2, self.body_radius)
-        object.__setattr__(self, "k_J2", k_J2)
-        object.__setattr__(self, "body_radius", body_radius)
+        complete_gravity(self)
         elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0
         if not is_positive or not all(map(isfinite, elements)):
             raise ValueError(
@@ -118,18 +116,12 @@ class Orbit:
             ValueError: This is not an ellipse, the perigee is inside the body, or mu is of no
                 known body and there is no k_J2.
         """
-        k_J2, body_radius = complete_gravity(mu, k_J2, body_radius)
-        validate_ellipse(semi_major_axis, eccentricity, mu, body_radius)
+        validate_ellipse(semi_major_axis, eccentricity, mu)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
         v_x = mu / h * eccentricity * sin(true_anomaly)
         latitude = arg_perigee + true_anomaly
         return cls(r, v_x, h, raan, inclination, latitude, mu, k_J2, body_radius)
-
-    @property
-    def body_name(self) -> str:
-        """Name of the body, "the Earth" or "Mars"; "the central body" where mu is of none."""
-        return find_body(self.mu).name
 
     @property
     def initial_elements(self) -> tuple[float, ...]:
@@ -183,13 +175,13 @@ class Orbit:
 
 
 def validate_ellipse(
-    semi_major_axis: float, eccentricity: float, mu: float, body_radius: float
+    semi_major_axis: float, eccentricity: float, mu: float, body_radius: float = 0.0
 ) -> None:
     """Check that an orbit is closed, and stays above the surface of the body.
 
     Raises:
-        ValueError: The eccentricity is not in [0, 1), the semi-major axis is not positive, or
-            the perigee is inside the body.
+        ValueError: The eccentricity is not in [0, 1), the semi-major axis or the gravity is not
+            positive, or the perigee is inside the body.
     """
     if not 0 <= eccentricity < 1:
         raise ValueError(
@@ -197,6 +189,8 @@ def validate_ellipse(
         )
     if not 0 < semi_major_axis < inf:
         raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
+    if not 0 < mu < inf:
+        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= body_radius:
         least = body_radius / (1 - eccentricity)
         raise ValueError(

@@ -32,13 +32,9 @@ INSTALL_RERUN = 'pip install "sato-swarm[rerun]"'
 CHIEF_NAME = "chief"
 EARTH = "EARTH"  # center of runs that name none
 AXES_COMMENT = (
-    "Axes: z along the axis of the Earth, x and y in its equator, as the scenario gives the",
-    "orbit of the chief in them. They are inertial, and EME2000 is the label that is nearest:",
-    "the simulation has no precession, nutation or polar motion.",
-)
-OTHER_AXES_COMMENT = (
-    "Axes: z along the axis of the body, x and y in its equator, as the scenario gives the",
-    "orbit of the chief in them. They are inertial, and no label of CCSDS is theirs.",
+    "Axes: z along the axis of the center, x and y in its equator, as the scenario gives the",
+    "orbit of the chief in them. They are inertial: the simulation has no precession, nutation",
+    "or polar motion. About the Earth EME2000 is the label that is nearest.",
 )
 INTERPOLATION_COMMENT = (
     "Thrust is held from one state to the next and jumps there, so no interpolation is good",
@@ -150,7 +146,7 @@ def format_oem(data: RunData, track: Ephemeris) -> str:
         "ORIGINATOR = SATO",
         "",
         "META_START",
-        *(f"COMMENT {line}" for line in (AXES_COMMENT if center == EARTH else OTHER_AXES_COMMENT)),
+        *(f"COMMENT {line}" for line in AXES_COMMENT),
         *(f"{key} = {value}" for key, value in meta.items()),
         "META_STOP",
         "",

@@ -51,14 +51,10 @@ ORBIT = Viewpoint(
         ("x, radial", (1, 0, 0)),
         ("y, along-track", (0, 1, 0)),
         ("z, normal", (0, 0, 1)),
+        ("to the center", (-1, 0, 0)),
     ),
     time_unit="min",
 )
-
-
-def view_orbit(body: str) -> Viewpoint:
-    """Return the viewpoint of an orbit about a body."""
-    return ORBIT._replace(arrows=(*ORBIT.arrows, (f"to {body}", (-1, 0, 0))))
 
 
 class Links(NamedTuple):

@@ -395,6 +395,8 @@ def check(mission: Mission) -> Iterator[str]:
 
 def check_flight(mission: Any, folder: Path) -> Iterator[str]:
     """Yield what is wrong with a run of a mission that is saved and loaded."""
+    if isinstance(mission, sato.Connectivity):
+        mission = replace(mission, duration=0.2, losses=())
     try:
         run = sato.run(mission)
     except ValueError:

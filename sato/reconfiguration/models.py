@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Lt
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.bodies import is_earth
+from dynamics.bodies import EARTH, find_body
 from dynamics.circular_orbit import CircularOrbitModel, ClohessyWiltshire, SchweighartSedwick
 from dynamics.discretize import DiscreteModel, discretize_zoh, have_equal_steps
 from dynamics.double_integrator import DoubleIntegrator
@@ -110,7 +110,7 @@ class PlantSettings(Definition):
         Raises:
             InputError: There is no air at the chief's perigee, or the chief is not about the Earth.
         """
-        if not is_earth(chief.center.mu):
+        if find_body(chief.center.mu) is not EARTH:
             reason = f"the air is the Earth's, and the chief goes about {chief.center.name}"
             raise InputError("plant.drag", f"{reason}; drag = false would do")
         if self.density is not None and self.altitude is not None and self.scale_height is not None:

@@ -13,9 +13,8 @@ from annotated_types import Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
-from pydantic import Field as Pattern
 
-from dynamics.bodies import BODIES, EARTH_J2, EARTH_MU, UNKNOWN, Body, find_body, oblateness
+from dynamics.bodies import EARTH, EARTH_J2, EARTH_MU, NO_BODY, UNKNOWN, Body, find_body, oblateness
 from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.j2 import invariant_velocity
 from dynamics.orbit import Orbit
@@ -81,13 +80,8 @@ class Chief(Definition):
     radial_speed: Annotated[float | None, Unit("m_s"), "radial speed"] = None
     angular_momentum: Annotated[float | None, Unit("m2_s"), "specific angular momentum"] = None
     latitude: Annotated[float | None, Unit("rad"), "argument of latitude"] = None
-    body: Annotated[
-        str | None,
-        Pattern(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$"),
-        "earth, moon, mars, venus, mercury, or a name for exports; earth or by its mu if absent",
-    ] = None
     mu: Annotated[
-        float | None, Unit("m3_s2"), Positive, "gravity of the body; of the one named if absent"
+        float | None, Unit("m3_s2"), Positive, "gravity of the body; the Earth's if absent"
     ] = None
     body_radius: Annotated[
         float | None, Unit("m"), NotNegative, "its radius at the equator; by its mu if absent"
@@ -110,39 +104,25 @@ class Chief(Definition):
         return cls(**values, mu=mu, body_radius=radius)
 
     def completed(self) -> dict[str, Any]:
-        """Return the constants of the body that are not given; none for what is the Earth's.
+        """Return the oblateness of the body, and no constants that follow from its gravity.
 
         Raises:
-            InputError: They are of no known body, or of another than is named.
+            InputError: No known body has this gravity, or constants contradict each other.
         """
-        named = next((b for b in BODIES if b.key == (self.body or "").lower()), None)
-        mu = self.mu or (named or BODIES[0]).mu
-        body, known = find_body(mu), join_names(each.key for each in BODIES)
-        if self.mu is None and self.body is not None and named is None:
-            reason = f'is missing, and "{self.body}" is not {known}'
-            raise InputError("mu_m3_s2", f"{reason}; the gravity of the body would do")
-        if named not in (None, body):
-            reason = f'is "{self.body}", and mu_m3_s2 = {mu:.6g} is that of {body.name}'
-            raise InputError("body", f"{reason}; one of the two would do")
-        j2, radius = self.j2, body.radius if self.body_radius is None else self.body_radius
-        if j2 is None and self.k_j2 is None:
-            if body is UNKNOWN:
-                reason = f"is missing, and mu_m3_s2 = {mu:.6g} is not that of {known}"
-                raise InputError("j2", f"{reason}; 0 is Kepler's motion")
-            j2 = body.J2
-        elif j2 is not None and self.k_j2 is not None:
+        body, (_, mu, radius, _) = find_body(self.mu or EARTH_MU), self.center
+        j2 = body.J2 if self.j2 is None and self.k_j2 is None else self.j2
+        if self.j2 is None and self.k_j2 is None and body is UNKNOWN:
+            raise InputError("j2", NO_BODY.format(mu))
+        if j2 is not None and self.k_j2 is not None:
             raise InputError("k_j2_m5_s2", "gives the oblateness, and so does j2; give one of them")
         if j2 and not radius:
             reason = f"is missing, and j2 = {j2:g} is relative to it; j2 = 0 or k_j2_m5_s2 would do"
             raise InputError("body_radius_m", reason)
-        if j2 == EARTH_J2 and body not in (BODIES[0], UNKNOWN):
-            reason = f"{j2:g} is the Earth's, and mu_m3_s2 = {mu:.6g} is that of {body.name}"
+        if j2 == EARTH_J2 and body not in (EARTH, UNKNOWN):
+            reason = f"{j2:g} is the Earth's, and mu_m3_s2 that of {body.name}"
             raise InputError("j2", f"{reason}; {body.J2:g} would do")
-        return {
-            "mu": None if mu == EARTH_MU else mu,
-            "body_radius": None if radius == body.radius else radius,
-            "j2": j2,
-        }
+        short = None if radius == body.radius else radius
+        return {"mu": None if mu == EARTH_MU else mu, "body_radius": short, "j2": j2}
 
     @cached_property
     def orbit(self) -> Orbit:

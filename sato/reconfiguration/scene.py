@@ -11,6 +11,7 @@ from sato.scene import (
     ALIVE,
     GROUND,
     LOST,
+    ORBIT,
     Coloring,
     Links,
     Series,
@@ -22,7 +23,6 @@ from sato.scene import (
     color_by_target,
     enclose_obstacle,
     nearest_distances,
-    view_orbit,
 )
 
 
@@ -33,7 +33,6 @@ def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
     fuel = np.cumsum(np.pad(compute_step_fuel(record), ((1, 0), (0, 0))), axis=0)
     targets = _collect_targets(record)
     nearest = nearest_distances(frames.position, alive | record.is_adrift)
-    orbit = mission.flown_plant.chief_orbit
     starts = [(record.time[leg.start_index], leg.leg_index) for leg in record.leg_records]
     return SwarmScene(
         time=record.time,
@@ -54,7 +53,7 @@ def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
         stages=tuple((float(t), f"leg {k + 1}, {record.leg_names[k]}") for t, k in starts),
         events=frames.events,
         obstacles=tuple(map(enclose_obstacle, mission.obstacles)),
-        viewpoint=GROUND if orbit is None else view_orbit(orbit.body_name),
+        viewpoint=GROUND if record.variables.chief is None else ORBIT,
     )
 
 
