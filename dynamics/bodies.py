@@ -60,10 +60,12 @@ def complete_gravity(value: Any) -> None:
     if not 0 < mu < inf:
         raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     body = find_body(mu)
-    radius = body.radius if radius is FROM_MU else radius
-    if k is FROM_MU and body is UNKNOWN:
+    radius = body.radius if radius in (FROM_MU, None) else radius
+    if k in (FROM_MU, None) and body is UNKNOWN:
         raise ValueError(f"k_J2: {NO_BODY.format(mu)}")
-    k = oblateness(body.J2, mu, radius or body.radius) if k is FROM_MU else k
+    k = oblateness(body.J2, mu, radius or body.radius) if k in (FROM_MU, None) else k
+    if k == oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS) and body not in (EARTH, UNKNOWN):
+        raise ValueError(f"k_J2: {k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
     if not (isfinite(k) and 0 <= radius < inf):
         reason = "k_J2 must be a small part of gravity, and body_radius finite and not negative"
         raise ValueError(f"{reason}, got {k} m⁵/s² and {radius} m")

@@ -14,8 +14,8 @@ the unit at the end of its key. Any unit of the same kind is accepted and conver
 `--set table.key=value`
 changes a key; where only one table has the key, the key alone is enough. `--set table.key=none`
 takes a key away, so that it has its default; in Python `"table.key=none"` or `("table.key", None)`
-does. Of a key that has a value `"none"`, as `assignment.kind` of formations, `none` is that value; in
-quotes, `--set 'name="none"'`, it is a text.
+does. Of a key that has a value `"none"`, as `assignment.kind` of formations, `none` is that value;
+in quotes, `--set 'name="none"'`, it is a text.
 
 This page is generated from the definitions of the missions; `sato keys SYSTEM` prints the same.
 """

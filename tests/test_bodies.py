@@ -11,6 +11,7 @@ import sato
 from dynamics import Atmosphere, InertialPlant, NonlinearPlant, propagate
 from dynamics.bodies import BODIES, EARTH_J2, find_body
 from dynamics.forces import Forces
+from dynamics.orbit import K_J2
 from sato.export import iterate_ephemerides
 
 VENUS, MARS, MOON, PEBBLE = 3.2486e14, 4.2828e13, 4.9028e12, 4.89
@@ -166,6 +167,7 @@ def test_bodies_are_found_by_their_gravity():
         (lambda: replace(sato.Chief(semi_major_axis=7e6), mu=MARS), "is the Earth's, and mu"),
         (lambda: Forces(MARS, atmosphere=Atmosphere()), "the air is the Earth's.*Mars"),
         (lambda: propagate(np.array([[3e6, 0, 0, 0, 4e3, 0.0]]), np.ones(1), Forces(MARS)), "Mars"),
+        (lambda: replace(ORBITS["Mars"], k_J2=K_J2), "is the Earth's, and mu is that of Mars"),
         (lambda: sato.SchweighartSedwick(3e6, 0.5, MARS), "above Mars's, 3396 km"),
     ],
 )
