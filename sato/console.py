@@ -10,7 +10,6 @@ from typing import Any
 
 from rich.box import HEAVY_HEAD, MARKDOWN
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Column, Table
 
@@ -111,8 +110,10 @@ def print_report(report: Report) -> None:
         shown = (format_value(value, limit), format_value(limit), promise.message)
         table.add_row(promise.name, "yes" if promise.kept else "NO", *shown)
     for name in report.skipped:
-        table.add_row(name, "?", "", "", f"skipped: {escape(report.skip_reason)}")
+        table.add_row(name, "?", "", "", "skipped")
     Console().print(table)
+    if report.skipped:
+        Console().print(f"skipped: {report.skip_reason}", markup=False, soft_wrap=True)
 
 
 def _least_separation(frame: Frame) -> float:

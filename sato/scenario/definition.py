@@ -289,12 +289,7 @@ def _equal(one: Any, other: Any) -> bool:
 
 def _state_of(value: Model | Plant) -> dict[str, Any]:
     # What it was made of, without what was computed from that; two without attributes are equal.
-    cached = {
-        name
-        for kind in type(value).__mro__
-        for name, part in vars(kind).items()
-        if isinstance(part, cached_property)
-    }
+    cached = [n for n in vars(value) if isinstance(getattr(type(value), n, None), cached_property)]
     return {name: part for name, part in vars(value).items() if name not in cached}
 
 
