@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION, OrbitStates, Scalars, Vectors
+from dynamics.bodies import EARTH_RADIUS, EARTH_ROTATION
+from dynamics.orbit import OrbitStates, Scalars, Vectors
 
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
 # [Vallado2013, table 8-4] at which spacecraft stay in orbit.

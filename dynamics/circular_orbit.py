@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.bodies import EARTH_MU, FROM_MU, complete_gravity, find_body
 from dynamics.model import LinearModel
-from dynamics.orbit import EARTH_MU, EARTH_RADIUS, K_J2, Orbit, Vectors, validate_inclination
+from dynamics.orbit import K_J2, Orbit, Vectors, validate_inclination
 from dynamics.symbols import Number
 
 
@@ -155,7 +156,9 @@ class SchweighartSedwick(CircularOrbitModel):
         radius: Radius of the chief's orbit [m].
         inclination: Inclination of the chief's orbit [rad].
         mu: Gravitational parameter [m³/s²].
-        k_J2: 3/2 J₂ μ R² [m⁵/s²]; 0 gives Clohessy–Wiltshire.
+        k_J2: 3/2 J₂ μ R² [m⁵/s²]; 0 gives Clohessy–Wiltshire. By default that of the body with
+            this mu.
+        body_radius: Radius R at the equator [m], by default that of the body with this mu.
 
     Raises:
         ValueError: A value is out of its range, or J2 is no small part of gravity.
@@ -164,19 +167,22 @@ class SchweighartSedwick(CircularOrbitModel):
     radius: float
     inclination: float
     mu: float = EARTH_MU
-    k_J2: float = K_J2
+    k_J2: float = FROM_MU
+    body_radius: float = FROM_MU
 
     def __post_init__(self) -> None:
-        """Check the orbit, and that J2 is a small perturbation."""
+        """Complete the gravity; check the orbit, and that J2 is a small perturbation."""
         validate_inclination(self.inclination)
-        if not EARTH_RADIUS < self.radius < inf:
+        complete_gravity(self)
+        if not self.body_radius < self.radius < inf:
             raise ValueError(
-                f"radius: must be above the Earth's, {EARTH_RADIUS / 1e3:.0f} km, measured from "
-                f"the center and in meters, got {self.radius} m"
+                f"radius: must be above {find_body(self.mu).name}'s, "
+                f"{self.body_radius / 1e3:.0f} km, measured from the center and in meters, got "
+                f"{self.radius} m"
             )
-        if not (0 < self.mu < inf and abs(self._j2_ratio) < 0.1):
+        if not abs(self._j2_ratio) < 0.1:
             raise ValueError(
-                "mu: must be positive and finite, and k_J2 a small part of gravity, got "
+                "k_J2: must be a small part of gravity, got "
                 f"{self.mu} m³/s² and {self.k_J2} m⁵/s²; of the Earth they are {EARTH_MU:.4g} "
                 f"and {K_J2:.4g}"
             )
@@ -191,12 +197,12 @@ class SchweighartSedwick(CircularOrbitModel):
         for each km. In the plane both are equally good, since the periodic terms that the
         average omits dominate there.
         """
-        mu, k = orbit.mu, orbit.k_J2
-        first = cls(orbit.semi_major_axis, orbit.inclination, mu, k)
+        gravity = mu, k, _ = orbit.mu, orbit.k_J2, orbit.body_radius
+        first = cls(orbit.semi_major_axis, orbit.inclination, *gravity)
         Z2 = (sin(orbit.inclination) * sin(orbit.arg_latitude)) ** 2
         energy = -mu / (2 * orbit.semi_major_axis) - k / orbit.r**3 * (1 / 3 - Z2)
         # A circle at the rate nc has −μ/2r + μs/6r; the first estimate of s is good enough.
-        return cls(-mu / (2 * energy) * (1 - first.s / 3), orbit.inclination, mu, k)
+        return cls(-mu / (2 * energy) * (1 - first.s / 3), orbit.inclination, *gravity)
 
     @property
     def n(self) -> float:

@@ -2,7 +2,7 @@
 
 In this package LVLH (also called RSW, RTN or Hill's frame) has the axes
 
-    x  radial, from the Earth's center to the chief
+    x  radial, from the center of the body to the chief
     y  transverse (along-track): in the orbital plane, perpendicular to x, in the direction
        of motion
     z  normal (cross-track), r × v
@@ -11,7 +11,7 @@ of the chief's osculating orbit. Velocities are relative to these axes, which ro
 ω = (ω_x, 0, ω_z). Other software uses the same name for other axes: in Orekit's LVLH_CCSDS
 z points to the nadir and y against the normal, so (X, Y, Z) there is (y, −z, −x) here.
 
-Inertial axes: z along the Earth's axis, x and y in the plane of the equator. A state is a
+Inertial axes: z along the body's axis, x and y in the plane of the equator. A state is a
 position and a velocity [m, m/s]. Polar-nodal elements are those of `Orbit`.
 """
 
@@ -74,7 +74,7 @@ class LVLH:
     def to_inertial(self, x: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
         """Convert LVLH states to inertial states.
 
-        Positions are rounded to the last digit of the distance from the Earth's center,
+        Positions are rounded to the last digit of the distance from the center,
         about a nanometer in low orbit. `to_offset` is free of this rounding.
         """
         return np.asarray(self._add_agent_axes(self.chief_state, x, 1) + self.to_offset(x))
@@ -154,7 +154,7 @@ def radius_and_momentum(state: OrbitStates) -> tuple[Float[Array, "*k"], Float[A
     if not (np.isfinite(h).all() and (h > 0).all()):
         raise ValueError(
             "an orbit needs a finite position and velocity that do not lie on one line through "
-            f"the Earth's center, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
+            f"the center of the body, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
         )
     return np.asarray(r), np.asarray(h)
 

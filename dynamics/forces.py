@@ -7,7 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.orbit import EARTH_MU, K_J2, OrbitStates, Scalars, Vectors
+from dynamics.bodies import EARTH, EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.orbit import OrbitStates, Scalars, Vectors
 
 
 @dataclass(frozen=True)
@@ -19,8 +20,16 @@ class Forces:
     """
 
     mu: float = EARTH_MU  # gravitational parameter [m³/s²]
-    k_J2: float = K_J2  # 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]
-    atmosphere: Atmosphere | None = None
+    k_J2: float = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
+    atmosphere: Atmosphere | None = None  # of the Earth
+    body_radius: float = FROM_MU  # at the equator [m]; of the body with this mu, if not given
+
+    def __post_init__(self) -> None:
+        """Complete the gravity, and refuse the Earth's air about another body."""
+        complete_gravity(self)
+        if self.atmosphere is not None and find_body(self.mu) is not EARTH:
+            reason = f"the air is the Earth's, and mu is that of {find_body(self.mu).name}"
+            raise ValueError(f"atmosphere: {reason}; None would do")
 
     def acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars = 0.0) -> Vectors:
         """Return the acceleration of one spacecraft or of many [m/s²]."""
@@ -105,7 +114,7 @@ class Forces:
             raise ValueError(f"ballistic coefficients are finite and not negative, {least}")
 
     def _gravity(self, position: Array, mu: float) -> Array:
-        # −∇ of −μ/r − k/r³ (1/3 − (Z/r)²), with Z along the Earth's axis. Component by
+        # −∇ of −μ/r − k/r³ (1/3 − (Z/r)²), with Z along the axis of the body. Component by
         # component, because sums over a short last axis would take half of the time.
         X, Y, Z = position[..., 0], position[..., 1], position[..., 2]
         r2 = X * X + Y * Y + Z * Z

@@ -35,14 +35,14 @@ class InertialPlant(Plant):
     in LVLH axes while it is held.
 
     Args:
-        chief_orbit: Orbit of the chief at time 0, with the Earth's gravity.
+        chief_orbit: Orbit of the chief at time 0, with the gravity of the body.
         ballistic_coefficient: C_D A/m of all agents or of each [m²/kg].
         chief_ballistic_coefficient: That of the chief [m²/kg].
         atmosphere: None is no drag.
 
     Raises:
         ValueError: An atmosphere without both ballistic coefficients, or nonzero ones
-            without an atmosphere.
+            without an atmosphere, or an atmosphere about another body than the Earth.
     """
 
     chief_orbit: Orbit = field()  # required: without this, the default of `Plant` would hold
@@ -60,7 +60,7 @@ class InertialPlant(Plant):
 
         Raises:
             ValueError: Shapes, controls or times do not fit this plant.
-            Impact: An agent or the chief hits the Earth.
+            Impact: An agent or the chief hits the body.
         """
         validate_propagation(x, u, dt, substeps, axes=3)
         drag = self._forces.broadcast_ballistic_coefficients(self.ballistic_coefficient, len(x))
@@ -124,12 +124,15 @@ class InertialPlant(Plant):
 
         y, agents = start.ravel(), np.concatenate([[-1], present])
         tolerances, first_step = (RTOL, atol.ravel()), min(float(times[-1]), FIRST_STEP)
-        path = integrate_orbits(rate, y, times, *tolerances, radii, agents, t, first_step)
+        path = integrate_orbits(
+            rate, y, times, *tolerances, radii, agents, self._forces, t, first_step
+        )
         return path.reshape(len(times), -1, 6)
 
     @cached_property
     def _forces(self) -> Forces:
-        return Forces(self.chief_orbit.mu, self.chief_orbit.k_J2, self.atmosphere)
+        orbit = self.chief_orbit
+        return Forces(orbit.mu, orbit.k_J2, self.atmosphere, orbit.body_radius)
 
     @property
     def _chief_drag(self) -> float:

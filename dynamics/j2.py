@@ -25,7 +25,7 @@ class J2(NonlinearModel):
 
         l̈ = −2 ω × l̇ − α × l − ω × (ω × l) + g(R) − g(r x̂) + u,    R = r x̂ + l
 
-    with g the gravity of the oblate Earth. Exact at any separation; other forces are left
+    with g the gravity of the oblate body. Exact at any separation; other forces are left
     out. With k_J2 = 0 it is Keplerian relative motion.
 
     Args:
@@ -59,8 +59,8 @@ class J2(NonlinearModel):
 class _Axes(NamedTuple):
     """The chief and its LVLH axes, at one time or at many."""
 
-    chief: Array  # r x̂, from the Earth's center
-    pole: Array  # unit vector along the Earth's axis
+    chief: Array  # r x̂, from the center of the body
+    pole: Array  # unit vector along the body's axis
     apparent: Array  # −[[α]× + [ω]×², 2 [ω]×], which takes a state to apparent accelerations
     gravity: Array  # of the chief
 
@@ -94,7 +94,7 @@ def _fixed_axes(orbit: Orbit, times: Array) -> _Axes:
 
 def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
     elements = orbit.elements_at(times)
-    chief, pole = elements[..., :1] * X_AXIS, _earth_axis(elements)
+    chief, pole = elements[..., :1] * X_AXIS, _body_axis(elements)
     rates = lvlh_rates(elements, orbit.k_J2)
     omega = _cross_matrix(rates.omega_x, rates.omega_z)
     alpha = _cross_matrix(rates.alpha_x, rates.alpha_z)
@@ -103,11 +103,11 @@ def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
 
 
 def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
-    """Return the gravity of the oblate Earth, g = −η² R − ζ s [m/s²].
+    """Return the gravity of the oblate body, g = −η² R − ζ s [m/s²].
 
     Args:
-        R: Position from the Earth's center, in any axes [m].
-        pole: s, the unit vector along the Earth's axis, in the same axes.
+        R: Position from the center of the body, in any axes [m].
+        pole: s, the unit vector along the body's axis, in the same axes.
         orbit: Orbit with the gravitational parameters.
     """
     rho2, Z = _dot(R, R), _dot(R, pole)
@@ -166,7 +166,7 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
     v = np.zeros(position.shape)
     v[..., 0] = rates.omega_z * y / 2
     v[..., 2] = np.where(out_of_plane, (v_x / r - rates.omega_z * np.tan(theta)) * z, 0.0)
-    pole, center = _earth_axis(chief), r * X_AXIS
+    pole, center = _body_axis(chief), r * X_AXIS
     energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(center, pole, orbit)
     speed2 = 2 * (energy - _potential(position + center, pole, orbit))
     radial = v_x + v[..., 0] - rates.omega_z * y
@@ -182,8 +182,8 @@ def _potential(R: Array, pole: Array, orbit: Orbit) -> Array:
     return np.asarray(-orbit.mu / rho - orbit.k_J2 / rho**3 * (1 / 3 - (Z / rho) ** 2))
 
 
-def _earth_axis(chief: Array) -> Array:
-    """Return the unit vector along the Earth's axis in LVLH axes."""
+def _body_axis(chief: Array) -> Array:
+    """Return the unit vector along the body's axis in LVLH axes."""
     i, theta = chief[..., 4], chief[..., 5]
     return np.stack([np.sin(i) * np.sin(theta), np.sin(i) * np.cos(theta), np.cos(i)], axis=-1)
 

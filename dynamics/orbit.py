@@ -16,14 +16,14 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.bodies import EARTH_J2 as EARTH_J2
+from dynamics.bodies import EARTH_MU as EARTH_MU
+from dynamics.bodies import EARTH_RADIUS as EARTH_RADIUS
+from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
+from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
 from dynamics.symbols import Number, Numbers
 
-# The constants of the Earth are those of [IERS2010, table 1.1].
-EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
-EARTH_RADIUS = 6378136.6  # at the equator [m]
-EARTH_J2 = 1.0826359e-3  # dynamical form factor
-EARTH_ROTATION = 7.292115e-5  # [rad/s]
-K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
+K_J2 = oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS)  # of the Earth [m⁵/s²]
 
 # One number, vector or state, or many.
 Scalars = Number | Numbers[Array, "*#k"]
@@ -45,7 +45,7 @@ class LVLHRates(NamedTuple):
 
 @dataclass(frozen=True)
 class Orbit:
-    """Orbit about the Earth, given by its osculating state at time 0.
+    """Orbit about a planet or moon, by default the Earth, given by its state at time 0.
 
     Args:
         r: Radius [m].
@@ -55,10 +55,13 @@ class Orbit:
         inclination: i, between 0 and π [rad].
         arg_latitude: Argument of latitude, θ, from the node [rad].
         mu: Gravitational parameter [m³/s²].
-        k_J2: 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]; 0 is Keplerian motion.
+        k_J2: 3/2 J₂ μ R², the strength of the oblateness [m⁵/s²]; 0 is Keplerian motion. By
+            default that of the Earth, Venus, Mars, Mercury or the Moon, whichever has this mu.
+        body_radius: Radius at the equator [m], by default that of the same; 0 if not known.
 
     Raises:
-        ValueError: The state is not on an ellipse, or the perigee is inside the Earth.
+        ValueError: The state is not on an ellipse, the perigee is inside the body, or mu is of
+            no known body and there is no k_J2.
     """
 
     r: float
@@ -68,18 +71,20 @@ class Orbit:
     inclination: float
     arg_latitude: float
     mu: float = EARTH_MU
-    k_J2: float = K_J2
+    k_J2: float = FROM_MU
+    body_radius: float = FROM_MU
 
     def __post_init__(self) -> None:
-        """Check that the state is on an ellipse above the Earth."""
-        elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0 and self.mu > 0
+        """Complete the gravity, and check that the state is on an ellipse above the surface."""
+        complete_gravity(self)
+        elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0
         if not is_positive or not all(map(isfinite, elements)):
             raise ValueError(
                 "an orbit needs six finite elements, and a positive radius and angular momentum, "
                 f"got {tuple(map(float, elements))}"
             )
         validate_inclination(self.inclination)
-        validate_ellipse(self.semi_major_axis, self.eccentricity)
+        validate_ellipse(self.semi_major_axis, self.eccentricity, self.mu, self.body_radius)
 
     @classmethod
     def from_elements(
@@ -91,7 +96,8 @@ class Orbit:
         arg_perigee: float = 0.0,
         true_anomaly: float = 0.0,
         mu: float = EARTH_MU,
-        k_J2: float = K_J2,
+        k_J2: float = FROM_MU,
+        body_radius: float = FROM_MU,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.
 
@@ -103,16 +109,19 @@ class Orbit:
             arg_perigee: Argument of perigee [rad].
             true_anomaly: True anomaly at time 0 [rad].
             mu: Gravitational parameter [m³/s²].
-            k_J2: Strength of the oblateness [m⁵/s²].
+            k_J2: Strength of the oblateness [m⁵/s²], by default that of the body with this mu.
+            body_radius: Radius at the equator [m], by default that of the body with this mu.
 
         Raises:
-            ValueError: This is not an ellipse, or the perigee is inside the Earth.
+            ValueError: This is not an ellipse, the perigee is inside the body, or mu is of no
+                known body and there is no k_J2.
         """
-        validate_ellipse(semi_major_axis, eccentricity)
+        validate_ellipse(semi_major_axis, eccentricity, mu)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
         v_x = mu / h * eccentricity * sin(true_anomaly)
-        return cls(r, v_x, h, raan, inclination, arg_perigee + true_anomaly, mu, k_J2)
+        latitude = arg_perigee + true_anomaly
+        return cls(r, v_x, h, raan, inclination, latitude, mu, k_J2, body_radius)
 
     @property
     def initial_elements(self) -> tuple[float, ...]:
@@ -165,12 +174,14 @@ class Orbit:
         return elements
 
 
-def validate_ellipse(semi_major_axis: float, eccentricity: float) -> None:
-    """Check that an orbit is closed, and stays above the surface of the Earth.
+def validate_ellipse(
+    semi_major_axis: float, eccentricity: float, mu: float, body_radius: float = 0.0
+) -> None:
+    """Check that an orbit is closed, and stays above the surface of the body.
 
     Raises:
-        ValueError: The eccentricity is not in [0, 1), the semi-major axis is not positive, or
-            the perigee is inside the Earth.
+        ValueError: The eccentricity is not in [0, 1), the semi-major axis or the gravity is not
+            positive, or the perigee is inside the body.
     """
     if not 0 <= eccentricity < 1:
         raise ValueError(
@@ -178,11 +189,14 @@ def validate_ellipse(semi_major_axis: float, eccentricity: float) -> None:
         )
     if not 0 < semi_major_axis < inf:
         raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
-    if (perigee := semi_major_axis * (1 - eccentricity)) <= EARTH_RADIUS:
+    if not 0 < mu < inf:
+        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
+    if (perigee := semi_major_axis * (1 - eccentricity)) <= body_radius:
+        least = body_radius / (1 - eccentricity)
         raise ValueError(
-            f"the perigee, {perigee / 1e3:.0f} km from the center, is inside the Earth, whose "
-            f"radius is {EARTH_RADIUS / 1e3:.0f} km; with an eccentricity of {eccentricity:g} a "
-            f"semi-major axis above {EARTH_RADIUS / (1 - eccentricity) / 1e3:.0f} km would do"
+            f"the perigee, {perigee / 1e3:.0f} km from the center, is inside {find_body(mu).name}, "
+            f"whose radius is {body_radius / 1e3:.0f} km; with an eccentricity of "
+            f"{eccentricity:g} a semi-major axis above {least / 1e3:.0f} km would do"
         )
 
 

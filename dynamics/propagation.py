@@ -8,9 +8,9 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.bodies import find_body
 from dynamics.coordinate_frames import radius_and_momentum
 from dynamics.forces import Forces
-from dynamics.orbit import EARTH_RADIUS
 
 MIN_RTOL = 2.3e-14  # SciPy replaces smaller values by this one, with a warning
 MAX_ECCENTRICITY = 0.95  # the accuracy of `propagate` holds up to this
@@ -19,14 +19,14 @@ DEFAULT_FORCES = Forces()  # two-body gravity and J2
 
 
 class Impact(RuntimeError):
-    """Collision of an agent or of the chief with the Earth."""
+    """Collision of an agent or of the chief with the body that they go about."""
 
-    def __init__(self, agent: int, time: float) -> None:
+    def __init__(self, agent: int, time: float, forces: Forces = DEFAULT_FORCES) -> None:
         """Describe the impact of an agent, −1 for the chief, at a time [s]."""
         name = f"agent {agent}" if agent >= 0 else "the chief"
         super().__init__(
-            f"{name} hits the Earth at t = {time:.6g} s: raise the perigee above "
-            f"{EARTH_RADIUS / 1e3:.0f} km from the center, or end before"
+            f"{name} hits {find_body(forces.mu).name} at t = {time:.6g} s: raise the perigee "
+            f"above {forces.body_radius / 1e3:.0f} km from the center, or end before"
         )
         self.agent = agent
         self.time = time
@@ -47,14 +47,14 @@ def propagate(
         forces: Forces on the agents.
         ballistic_coefficient: C_D A/m of all or of each, where there is an atmosphere [m²/kg].
         accuracy: Largest error of any agent after an orbit, as a fraction of its distance
-            from the Earth's center. It grows with the square of the number of orbits.
+            from the center. It grows with the square of the number of orbits.
 
     Raises:
-        ValueError: Times do not increase, an agent starts inside the Earth, or drag lacks
+        ValueError: Times do not increase, an agent starts inside the body, or drag lacks
             ballistic coefficients.
-        Impact: An agent hits the Earth.
+        Impact: An agent hits the body.
     """
-    _validate_initial_states(state, times, accuracy)
+    _validate_initial_states(state, times, accuracy, forces)
     drag = forces.broadcast_ballistic_coefficients(ballistic_coefficient, len(state))
     if not len(state):
         return np.empty((len(times), 0, 6))
@@ -67,7 +67,7 @@ def propagate(
         return np.asarray(np.linalg.norm(y.reshape(-1, 6)[:, :3], axis=1))
 
     y, atol = state.ravel(), _absolute_tolerances(state, accuracy, forces.mu).ravel()
-    path = integrate_orbits(rate, y, times, MIN_RTOL, atol, radii, np.arange(len(state)))
+    path = integrate_orbits(rate, y, times, MIN_RTOL, atol, radii, np.arange(len(state)), forces)
     return path.reshape(len(times), -1, 6)
 
 
@@ -79,6 +79,7 @@ def integrate_orbits(
     atol: Array,
     radii: Callable[[Array], Array],
     agents: Array,
+    forces: Forces,
     t0: float = 0.0,
     first_step: float | None = None,
 ) -> Array:
@@ -91,18 +92,19 @@ def integrate_orbits(
         rtol: Error tolerance of a step relative to each entry of y.
         atol: Absolute tolerance in addition; the integrator bounds the root mean square of
             the errors over all entries.
-        radii: y ↦ distances from the Earth's center [m].
+        radii: y ↦ distances from the center [m].
         agents: Index of each distance in an `Impact`.
+        forces: Forces, of which the radius of the body ends the integration.
         t0: Initial time, for an `Impact` [s].
         first_step: Length of the first step [s], or None to let the integrator choose.
 
     Raises:
-        Impact: An agent hits the Earth.
+        Impact: An agent hits the body.
         RuntimeError: The integrator fails.
     """
 
     def altitude(t: float, y: Array) -> float:
-        return float(radii(y).min()) - EARTH_RADIUS
+        return float(radii(y).min()) - forces.body_radius
 
     altitude.terminal = True  # type: ignore[attr-defined]  # as SciPy asks for
     settings = {"rtol": rtol, "atol": atol, "first_step": first_step, "events": altitude}
@@ -110,7 +112,7 @@ def integrate_orbits(
     solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, **settings)
     if solution.status == 1:
         lowest = np.argmin(radii(solution.y_events[0][0]))
-        raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]))
+        raise Impact(int(agents[lowest]), t0 + float(solution.t_events[0][0]), forces)
     if not solution.success:
         raise RuntimeError(f"the orbits cannot be integrated: {solution.message}")
     return np.asarray(solution.y.T)
@@ -137,7 +139,7 @@ def _absolute_tolerances(state: Array, accuracy: float, mu: float) -> Array:
     return np.asarray(errors.repeat(3, axis=1))
 
 
-def _validate_initial_states(state: Array, times: Array, accuracy: float) -> None:
+def _validate_initial_states(state: Array, times: Array, accuracy: float, forces: Forces) -> None:
     is_increasing = len(times) > 0 and times[0] >= 0 and (np.diff(times) > 0).all()
     if not is_increasing or not np.isfinite(times).all():
         raise ValueError(f"times: must increase from 0 or later, got {times}")
@@ -147,8 +149,8 @@ def _validate_initial_states(state: Array, times: Array, accuracy: float) -> Non
     if not is_finite.all():
         raise ValueError(f"the state of agent {np.argmin(is_finite)} is not finite")
     r = np.linalg.norm(state[:, :3], axis=1)
-    if len(r) and r.min() <= EARTH_RADIUS:
+    if len(r) and r.min() <= forces.body_radius:
         raise ValueError(
-            f"agent {np.argmin(r)} starts inside the Earth, {r.min() / 1e3:.6g} km from its "
-            "center; states are in meters"
+            f"agent {np.argmin(r)} starts inside {find_body(forces.mu).name}, "
+            f"{r.min() / 1e3:.6g} km from its center; states are in meters"
         )

@@ -31,7 +31,7 @@ Word = str | None
 Words = list[str] | None
 Numbers = list[float] | None
 Overrides = Annotated[
-    Words, Option("--set", metavar="TABLE.KEY=VALUE", help="Change the scenario; repeatable.")
+    Words, Option("--set", metavar="TABLE.KEY=VALUE", help="Change the scenario, none: take away.")
 ]
 
 

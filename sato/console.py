@@ -110,9 +110,10 @@ def print_report(report: Report) -> None:
         shown = (format_value(value, limit), format_value(limit), promise.text)
         table.add_row(promise.name, "yes" if promise.kept else "NO", *shown)
     for name in report.skipped:
-        reason = "skipped: it needs the mission, sato.load(path, mission=…)"
-        table.add_row(name, "?", "", "", reason)
+        table.add_row(name, "?", "", "", "skipped")
     Console().print(table)
+    if report.skipped:
+        Console().print(f"skipped: {report.skip_reason}", markup=False, soft_wrap=True)
 
 
 def _least_separation(frame: Frame) -> float:

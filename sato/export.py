@@ -30,10 +30,11 @@ DEFAULT_PATHS = {"oem": "oem", "csv": "trajectories.csv", "rrd": "run.rrd"}
 DEFAULT_EPOCH = "2026-01-01T00:00:00"  # of time 0, of a run without an epoch [UTC]
 INSTALL_RERUN = 'pip install "sato-swarm[rerun]"'
 CHIEF_NAME = "chief"
+EARTH = "EARTH"  # center of runs that name none
 AXES_COMMENT = (
-    "Axes: z along the axis of the Earth, x and y in its equator, as the scenario gives the",
-    "orbit of the chief in them. They are inertial, and EME2000 is the label that is nearest:",
-    "the simulation has no precession, nutation or polar motion.",
+    "Axes: z along the axis of the center, x and y in its equator, as the scenario gives the",
+    "orbit of the chief in them. They are inertial: the simulation has no precession, nutation",
+    "or polar motion. About the Earth EME2000 is the label that is nearest.",
 )
 INTERPOLATION_COMMENT = (
     "Thrust is held from one state to the next and jumps there, so no interpolation is good",
@@ -112,21 +113,26 @@ def format_utc(data: RunData, time: Float[Array, " k"]) -> list[str]:
     Leap seconds are not counted.
     """
     text = str(data.attrs.get("epoch", DEFAULT_EPOCH))
-    epoch = np.datetime64(datetime.fromisoformat(text), "ns")
-    times = epoch + np.round(time * 1e9).astype("timedelta64[ns]")
-    is_whole = not (times.astype(np.int64) % 1_000_000).any()
-    return [str(each) for each in np.datetime_as_string(times, "ms" if is_whole else "ns")]
+    epoch = datetime.fromisoformat(text)
+    # In nanoseconds alone, 64 bits reach from 1677 to 2262.
+    parts = np.round(time * 1e9).astype(np.int64) + 1000 * epoch.microsecond
+    seconds, parts = np.divmod(parts, 1_000_000_000)
+    whole = np.datetime64(epoch.replace(microsecond=0), "s") + seconds.astype("timedelta64[s]")
+    length = len("2026-01-01T00:00:00.000") + (6 if (parts % 1_000_000).any() else 0)
+    texts = zip(np.datetime_as_string(whole), parts.tolist(), strict=True)
+    return [f"{text}.{part:09d}"[:length] for text, part in texts]
 
 
 def format_oem(data: RunData, track: Ephemeris) -> str:
     """Format an object's trajectory as a CCSDS OEM in key-value notation [CCSDS502, 5]."""
     times, about = format_utc(data, track.time), data.attrs
+    center = str(about.get("center", EARTH))
     title = f"{about['name']}, seed {about['seed']}, by sato {about['version']}"
     meta = {
         "OBJECT_NAME": track.name,
         "OBJECT_ID": track.name,
-        "CENTER_NAME": "EARTH",
-        "REF_FRAME": "EME2000",
+        "CENTER_NAME": center,
+        "REF_FRAME": "EME2000" if center == EARTH else f"{center}_EQUATOR_INERTIAL",
         "TIME_SYSTEM": "UTC",
         "START_TIME": times[0],
         "STOP_TIME": times[-1],

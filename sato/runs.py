@@ -1,5 +1,6 @@
 """Runs: missions flown, saved, loaded, checked and shown."""
 
+import re
 import signal
 import threading
 import warnings
@@ -25,7 +26,7 @@ from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.errors import InputError, ScenarioError, format_value
-from sato.scenario.file import Mission, from_dict, parse, read
+from sato.scenario.file import Mission, describe_own, from_dict, parse, read
 from sato.scenario.origin import Origin
 from sato.summary import summary_rows
 from sato.systems import load_system
@@ -36,6 +37,10 @@ if TYPE_CHECKING:  # slow to import
 
     from sato.scene import SwarmScene
 
+# Earlier versions wrote neither the classes of models nor plants of the user's own.
+_UNNAMED = re.compile(
+    r'(\[model\]\nkind = "own"\n)class = .*\n|\[plant\]\nkind = "own"\nclass = .*\n\n?'
+)
 Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
@@ -47,7 +52,7 @@ class Run:
     Args:
         recorded: Arrays and attributes of the run file.
         claimed: Entries of `summary.json`, which the check compares with the data.
-        mission: Not drawn; None where a file holds a model of the user's own.
+        mission: Not drawn; None where a file names a model, say, of the user's own.
 
     Raises:
         InputError: The data are no `RunData`.
@@ -75,13 +80,10 @@ class Run:
         """Mission with all random numbers drawn, as it was flown.
 
         Raises:
-            RunFileError: The run was loaded without its mission, which has its own model.
+            RunFileError: The run was loaded without its mission, parts of which no file can hold.
         """
         if self.mission is None:
-            raise record.RunFileError(
-                "this run has a model of your own, which no file can hold; give its mission: "
-                "sato.load(path, mission=...)"
-            )
+            raise record.RunFileError(describe_own(str(self.recorded.attrs["scenario"])))
         return self.mission.draw(np.random.default_rng(int(self.recorded.attrs["seed"])))
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
@@ -273,8 +275,8 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
 
     Args:
         path: Folder or file.
-        mission: Mission that was flown; only needed where its model is of your own, for all
-            others are in the file.
+        mission: Mission that was flown; only needed where its model, its plant or another part is
+            of your own, for all others are in the file.
 
     Raises:
         RunFileError: The file is missing, damaged, not a run, or of another mission.
@@ -282,13 +284,14 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
     data, summary = record.load(Path(path))
     text = str(data.attrs["scenario"])
     if mission is not None:
-        if mission.to_toml() != text:
+        given = mission.to_toml()
+        if text not in (given, _UNNAMED.sub(r"\1", given)):
             raise record.RunFileError(f"{path}: is a run of another mission than is given")
         return Run(data, summary, mission)
     try:
         return Run(data, summary, parse(text))
     except ScenarioError as error:
-        if '[model]\nkind = "own"\n' in text:
+        if describe_own(text):
             return Run(data, summary)
         reason = f"the scenario in the file cannot be read: {error}"
         raise record.RunFileError(f"{path}: {reason}") from error

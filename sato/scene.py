@@ -52,7 +52,7 @@ ORBIT = Viewpoint(
         ("x, radial", (1, 0, 0)),
         ("y, along-track", (0, 1, 0)),
         ("z, normal", (0, 0, 1)),
-        ("to the Earth", (-1, 0, 0)),
+        ("to the center", (-1, 0, 0)),
     ),
     time_unit="min",
 )

@@ -12,7 +12,7 @@ from sato.check.report import Promise, Report, expect_none
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
-from sato.scenario.file import load_toml
+from sato.scenario.file import describe_own, load_toml
 from sato.scenario.origin import Origin
 from sato.systems import load_system
 
@@ -84,7 +84,7 @@ def _check_without_mission(data: RunData) -> Report:
     summary = common.common_summary(data.attrs, frames.alive)
     every, checked = load_system(data.attrs["system"]).promises, [each.name for each in promises]
     skipped = tuple(name for name in (*every, "summary") if name not in checked)
-    return Report(tuple(promises), summary, skipped)
+    return Report(tuple(promises), summary, skipped, describe_own(str(data.attrs["scenario"])))
 
 
 def _check_summary(

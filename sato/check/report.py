@@ -118,6 +118,7 @@ class Report:
     promises: tuple[Promise, ...]
     summary: dict[str, Any]  # as in summary.json, without time and memory
     skipped: tuple[str, ...] = ()  # promises that could not be recomputed
+    skip_reason: str = ""  # as a sentence
     failure: str = ""  # fault that ended the check
 
     def __post_init__(self) -> None:
@@ -172,8 +173,7 @@ class Report:
         if self.failure:
             return f"the check ended early, {self.failure}"
         if verdict == "unchecked":
-            needed = "need the mission: sato.load(path, mission=…)"
-            return f"{count} hold, but {len(self.skipped)} {needed}"
+            return f"{count} hold, but {len(self.skipped)} were skipped, {self.skip_reason}"
         return ", ".join([count, *(promise.message for promise in aims[-1:])])
 
     @property
@@ -185,7 +185,8 @@ class Report:
 
     def __str__(self) -> str:
         """Tell the verdict, and the promises that do not hold."""
-        return "\n".join([self.line, *(f"  {each.name}: {each.text}" for each in self.broken)])
+        lines = [self.line, *(f"  {each.name}: {each.text}" for each in self.broken)]
+        return "\n".join([*lines, *(f"  {name}: skipped" for name in self.skipped)])
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, fit for JSON."""
@@ -195,6 +196,7 @@ class Report:
             "kept": self.kept,
             "promises": [finite_or_none(promise._asdict()) for promise in self.promises],
             "skipped": list(self.skipped),
+            "skip_reason": self.skip_reason,
             "summary": self.summary,
         }
 

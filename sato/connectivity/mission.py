@@ -122,7 +122,7 @@ class Connectivity(Mission):
             if self.start.yaw is not None:
                 if self.yaw is not None:
                     raise InputError("swarm.yaw_rad", "is given twice; the start has it too")
-                values |= {"start": Poses(self.start.positions), "yaw": self.start.yaw}
+                values |= {"start": replace(self.start, yaw=None), "yaw": self.start.yaw}
         elif self.yaw is not None:
             raise InputError("swarm.yaw_rad", "needs a start with positions")
         if self.agents is None:
@@ -223,5 +223,5 @@ class Connectivity(Mission):
         for loss in self.losses:
             agent = left.pop(int(rng.integers(len(left)))) if loss.agent is None else loss.agent
             time = rng.uniform(0, self.duration) if loss.time is None else loss.time
-            drawn.append(AgentLoss(agent, float(time)))
+            drawn.append(replace(loss, agent=agent, time=float(time)))
         return tuple(drawn)

@@ -114,7 +114,7 @@ class RecordedStick(Definition):
             table = np.loadtxt(self.file, delimiter=",", ndmin=2, encoding="utf-8")
             if table.shape[1] != 4:
                 raise ValueError("needs rows of time, v_x, v_y, v_z; in s and m/s")
-            return RecordedStick(table[:, 0], table[:, 1:])
+            return replace(self, times=table[:, 0], velocities=table[:, 1:], file=None)
         except (OSError, ValueError) as error:
             raise InputError("file", f'"{self.file}" cannot be read: {error}') from error
 

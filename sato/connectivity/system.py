@@ -1,6 +1,6 @@
 """Parts of this system that recording, checking, figures and the command line use."""
 
-from sato.connectivity.check.promises import check_run
+from sato.connectivity.check.promises import PROMISES, check_run
 from sato.connectivity.loop import simulate
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.record import ConnectivityFrame, run_attributes
@@ -22,5 +22,6 @@ SYSTEM = System(
     check=check_run,
     progress=describe_progress,
     figures=lazy("sato.connectivity.figures:make_figures"),
+    promises=PROMISES,
     scene=lazy("sato.connectivity.scene:make_scene"),
 )

@@ -91,7 +91,9 @@ def _as_pairs(value: Any) -> Array:
     pairs = np.asarray(value)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or pairs.min() < 0:
         raise InputError("", "must be a list of pairs of points, counted from 0")
-    return pairs.astype(int)
+    pairs = pairs.astype(int)
+    pairs.setflags(write=False)
+    return pairs
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,7 +205,8 @@ class FormationLeg(Definition):
             desired = DesiredFormation(points, self._draw_graph(points, rng))
         gains = self.gains.read(desired) if isinstance(self.gains, GainsFile) else self.gains
         edges = EdgeList.from_graph(desired.graph)
-        drawn = FormationLeg(Points(points, keep_order=True), edges, gains, self.name or name)
+        listed = Points(points, keep_order=True)
+        drawn = replace(self, formation=listed, graph=edges, gains=gains, name=self.name or name)
         drawn = self if drawn == self else drawn  # which keeps gains that were designed before
         _ = drawn.gain_matrix  # designed here, so that a formation without gains is refused
         return drawn
@@ -220,7 +223,7 @@ class FormationLeg(Definition):
             graph = EdgeList.from_graph(library.read_graph(graph.file, agents))
         if isinstance(gains, GainsFile):
             gains = gains.read()
-        return FormationLeg(formation, graph, gains, name)
+        return replace(self, formation=formation, graph=graph, gains=gains, name=name)
 
     def _draw_points(
         self, agents: int, keep_out: float, rng: Generator

@@ -1,6 +1,6 @@
 """Parts of this system that recording, checking, figures and the command line use."""
 
-from sato.formation.check.promises import check_run
+from sato.formation.check.promises import PROMISES, check_run
 from sato.formation.loop import FormationFrame, simulate
 from sato.formation.mission import Formation
 from sato.formation.record import FormationVariables, collect_attributes, collect_variables
@@ -25,5 +25,6 @@ SYSTEM = System(
     check=check_run,
     progress=make_progress,
     figures=lazy("sato.formation.figures:make_figures"),
+    promises=PROMISES,
     scene=lazy("sato.formation.scene:make_scene"),
 )

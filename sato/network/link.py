@@ -15,6 +15,7 @@ from sato.scenario.definition import Definition, Key, NotNegative, Positive, err
 from sato.scenario.errors import InputError
 
 UNHEARD_PROBABILITY = 1e-9  # that all repetitions of a message are lost
+MANY_ROUNDS = 1e18  # more than any time has, and an integer
 MOST_ROUNDS = 20_000  # of repetitions, beyond which no link is of use
 
 
@@ -102,7 +103,8 @@ class Link(Definition):
 
     def count_rounds(self, time: float | Float[Array, " k"]) -> Int[Array, "*k"]:
         """Return how many whole rounds there are in a time, or several [s]."""
-        return np.asarray(np.floor(np.asarray(time) / self.round + 1e-9), dtype=int)
+        rounds = np.floor(np.asarray(time) / self.round + 1e-9)
+        return np.asarray(np.minimum(rounds, MANY_ROUNDS), dtype=int)
 
     @cached_property
     def silent_rounds(self) -> int:

@@ -17,7 +17,8 @@ from sato.reconfiguration.agent_inputs import check_agent
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
 from sato.scenario.errors import InputError
-from sato.scenario.file import parse
+from sato.scenario.file import load_toml, parse
+from sato.scenario.table import find_own
 
 Mode = Literal["lock-step", "free-running"]
 
@@ -50,8 +51,9 @@ def as_processes(
         raise InputError("system", f'"{system.name}" {reason}')
     load_zenoh()
     scenario = mission.to_toml()
-    if '[model]\nkind = "own"\n' in scenario:
-        raise InputError("model", "of your own cannot be sent to a process; one of a file would do")
+    for address, kind in find_own(load_toml(scenario, mission.name)):
+        reason = f"{kind} of your own cannot be sent to a process; one of a file would do"
+        raise InputError(address, reason)
     parse(scenario)
 
     def simulate(

@@ -10,7 +10,8 @@ import numpy as np
 from annotated_types import Lt
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.circular_orbit import ClohessyWiltshire, SchweighartSedwick
+from dynamics.bodies import EARTH, find_body
+from dynamics.circular_orbit import CircularOrbitModel, ClohessyWiltshire, SchweighartSedwick
 from dynamics.discretize import DiscreteModel, discretize_zoh, have_equal_steps
 from dynamics.double_integrator import DoubleIntegrator
 from dynamics.inertial import InertialPlant
@@ -107,8 +108,11 @@ class PlantSettings(Definition):
         """Return the air that is given, or that at the chief's perigee.
 
         Raises:
-            InputError: There is no air at the chief's perigee.
+            InputError: There is no air at the chief's perigee, or the chief is not about the Earth.
         """
+        if find_body(chief.center.mu) is not EARTH:
+            reason = f"the air is the Earth's, and the chief goes about {chief.center.name}"
+            raise InputError("plant.drag", f"{reason}; drag = false would do")
         if self.density is not None and self.altitude is not None and self.scale_height is not None:
             return Atmosphere(self.density, self.altitude, self.scale_height)
         try:
@@ -127,9 +131,10 @@ def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief
         return OrbitalModel("j2"), chief or Chief.from_orbit(model.orbit)
     if type(model) is ClohessyWiltshire and chief is None:
         return OrbitalModel("clohessy_wiltshire", mean_motion=model.n), None
-    if isinstance(model, ClohessyWiltshire) and chief is not None:
-        if model == ClohessyWiltshire.from_orbit(chief.orbit):
-            return OrbitalModel("clohessy_wiltshire"), chief
+    if chief is not None and isinstance(model, CircularOrbitModel | TschaunerHempel):
+        for kind, make in MODELS.items():
+            if model == make(chief.orbit):
+                return OrbitalModel(kind), chief  # type: ignore[arg-type]
     return model, chief
 
 
@@ -208,6 +213,12 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         others = join_names(f'"{name}"' for name in MODELS)
         none = '"double_integrator" has no orbit, and this mission has a [chief]'
         raise InputError("model.kind", f"{none}; {others} would do")
+    for name, part in (("model", model), ("plant", plant)):
+        about = getattr(part, "chief_orbit", None) or getattr(part, "orbit", part)
+        mu = getattr(about, "mu", None)
+        if chief is not None and mu not in (None, chief.orbit.mu):
+            reason = f"has mu = {mu:.6g} m³/s², and the chief {chief.orbit.mu:.6g}"
+            raise InputError(name, f"{reason}; one orbit for both would do")
     if isinstance(plant, Plant):
         return
     if chief is None and (plant.kind == "inertial" or plant.drag):

@@ -1,5 +1,6 @@
 """The chief: the orbit about which a swarm moves, as a definition."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
@@ -13,13 +14,22 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
 
+from dynamics.bodies import EARTH, EARTH_J2, EARTH_MU, NO_BODY, UNKNOWN, Body, find_body, oblateness
 from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.j2 import invariant_velocity
-from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
+from dynamics.orbit import Orbit
 from dynamics.units import Unit
-from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
+from sato.scenario.definition import (
+    LATER,
+    Coordinates,
+    Definition,
+    NotNegative,
+    Positive,
+    errors_in,
+)
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 
+YEARS = 1, 9998  # of an epoch: exports write years of four digits, a flight later too
 MAX_J2 = 0.05  # about where J2 would no longer be a small part of gravity; the Earth's is 0.001
 MIN_COS_LATITUDE = 0.3  # |cos θ| from which on velocities out of the plane are not large
 ANOMALIES = range(-180, 180, 5)  # tried for a better start along the orbit [deg]
@@ -37,16 +47,17 @@ def _as_utc(value: Any) -> Any:
     # A date is one in TOML, with quotes and without.
     try:
         time = datetime.fromisoformat(value.isoformat() if isinstance(value, date) else value)
-    except (TypeError, ValueError) as error:
+        if time.tzinfo is not None:
+            time = time.astimezone(UTC).replace(tzinfo=None)
+    except (TypeError, ValueError, OverflowError) as error:
         example = '"2026-01-01T00:00:00" would do'
-        raise InputError("", f"must be a date and time in UTC; {example}") from error
-    if time.tzinfo is not None:
-        time = time.astimezone(UTC).replace(tzinfo=None)
+        reason = f"must be a date and time in UTC; {example}, and no leap second"
+        raise InputError("", reason) from error
+    if not YEARS[0] <= time.year <= YEARS[1]:
+        raise InputError("", f"must be in the years {YEARS[0]} to {YEARS[1]}, got {time.year}")
+    if isinstance(value, str) and re.search(r"[.,]\d{6}\d*[1-9]", value):
+        raise InputError("", f"must be of whole microseconds, got {value}")
     return time.isoformat()
-
-
-def _oblateness(j2: float) -> float:
-    return 1.5 * j2 * EARTH_MU * EARTH_RADIUS**2
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -65,40 +76,82 @@ class Chief(Definition):
     anomaly: Annotated[float | None, Unit("rad"), "true anomaly"] = None
     position: Annotated[Coordinates | None, Unit("m"), "inertial position"] = None
     velocity: Annotated[Coordinates | None, Unit("m_s"), "inertial velocity"] = None
-    radius: Annotated[float | None, Unit("m"), "distance from the Earth's center"] = None
+    radius: Annotated[float | None, Unit("m"), "distance from the center of the body"] = None
     radial_speed: Annotated[float | None, Unit("m_s"), "radial speed"] = None
     angular_momentum: Annotated[float | None, Unit("m2_s"), "specific angular momentum"] = None
     latitude: Annotated[float | None, Unit("rad"), "argument of latitude"] = None
-    j2: Annotated[float, NotNegative, Lt(MAX_J2), "oblateness J2; 0 is Kepler's motion"] = EARTH_J2
+    mu: Annotated[
+        float | None, Unit("m3_s2"), Positive, "gravity of the body; the Earth's if absent"
+    ] = None
+    body_radius: Annotated[
+        float | None, Unit("m"), NotNegative, "its radius at the equator; by its mu if absent"
+    ] = None
+    j2: Annotated[
+        float, NotNegative, Lt(MAX_J2), "oblateness J2; 0 is Kepler's motion; by mu if absent"
+    ] = LATER
+    k_j2: Annotated[float | None, Unit("m5_s2"), "3/2 J2 mu R², in place of j2"] = None
     epoch: Annotated[str, BeforeValidator(_as_utc), "UTC of time 0"] = "2026-01-01T00:00:00"
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "Chief":
         """Return the chief on an orbit of the library, equal to the last bit."""
-        j2 = orbit.k_J2 / _oblateness(1.0)
-        candidates = (j2, EARTH_J2, *(float(np.nextafter(j2, end)) for end in (0.0, 1.0)))
-        j2 = next((value for value in candidates if _oblateness(value) == orbit.k_J2), j2)
-        elements: dict[str, Any] = dict(zip(POLAR_NODAL, orbit.initial_elements, strict=True))
-        return cls(**elements, j2=j2)
+        mu, k, radius = orbit.mu, orbit.k_J2, orbit.body_radius
+        j2 = k / oblateness(1.0, mu, radius) if radius else 0.0
+        near = (j2, find_body(mu).J2, *(float(np.nextafter(j2, end)) for end in (0.0, 1.0)))
+        exact = [j2 for j2 in near if oblateness(j2, mu, radius) == k and 0 <= j2 < MAX_J2]
+        values: dict[str, Any] = dict(zip(POLAR_NODAL, orbit.initial_elements, strict=True))
+        values |= {"j2": exact[0]} if exact else {"k_j2": k}
+        return cls(**values, mu=mu, body_radius=radius)
+
+    def completed(self) -> dict[str, Any]:
+        """Return the oblateness of the body, and no constants that follow from its gravity.
+
+        Raises:
+            InputError: No known body has this gravity, or constants contradict each other.
+        """
+        body, (_, mu, radius, _) = find_body(self.mu or EARTH_MU), self.center
+        j2 = body.J2 if self.j2 is None and self.k_j2 is None else self.j2
+        if self.j2 is None and self.k_j2 is None and body is UNKNOWN:
+            raise InputError("j2", NO_BODY.format(mu))
+        if j2 is not None and self.k_j2 is not None:
+            raise InputError("k_j2_m5_s2", "gives the oblateness, and so does j2; give one of them")
+        if j2 and not radius:
+            reason = f"is missing, and j2 = {j2:g} is relative to it; j2 = 0 or k_j2_m5_s2 would do"
+            raise InputError("body_radius_m", reason)
+        if j2 == EARTH_J2 and body not in (EARTH, UNKNOWN):
+            reason = f"{j2:g} is the Earth's, and mu_m3_s2 that of {body.name}"
+            raise InputError("j2", f"{reason}; {body.J2:g} would do")
+        short = None if radius == body.radius else radius
+        return {"mu": None if mu == EARTH_MU else mu, "body_radius": short, "j2": j2}
 
     @cached_property
     def orbit(self) -> Orbit:
-        """Orbit of the library, with the Earth's oblateness as it is asked for."""
-        k_J2 = _oblateness(self.j2)
+        """Orbit of the library, with the gravity and oblateness of the body."""
+        _, mu, radius, _ = self.center
+        k_J2 = oblateness(self.j2, mu, radius) if self.k_j2 is None else self.k_j2
+        gravity = mu, k_J2, radius
         if self.radius is not None:
             elements = [getattr(self, name) or 0.0 for name in POLAR_NODAL]
         elif self.position is not None and self.velocity is not None:
             elements = to_polar_nodal(np.array([*self.position, *self.velocity])).tolist()
         else:
             a, e, i, raan, perigee, anomaly = [getattr(self, name) or 0.0 for name in ELEMENTS]
-            return Orbit.from_elements(a, e, i, raan, perigee, anomaly, k_J2=k_J2)
+            return Orbit.from_elements(a, e, i, raan, perigee, anomaly, *gravity)
         r, v_x, h, raan, i, latitude = elements
-        return Orbit(r, v_x, h, raan, i, latitude, k_J2=k_J2)
+        return Orbit(r, v_x, h, raan, i, latitude, *gravity)
 
     @property
     def perigee_altitude(self) -> float:
-        """Altitude of the perigee above the Earth's equatorial radius [m]."""
-        return self.orbit.semi_major_axis * (1 - self.orbit.eccentricity) - EARTH_RADIUS
+        """Altitude of the perigee above the equatorial radius of the body [m]."""
+        orbit = self.orbit
+        return orbit.semi_major_axis * (1 - orbit.eccentricity) - orbit.body_radius
+
+    @property
+    def center(self) -> Body:
+        """Body that the chief goes about, with the gravity and radius that are asked for."""
+        found = find_body(self.mu or EARTH_MU)
+        radius = found.radius if self.body_radius is None else self.body_radius
+        return found._replace(mu=self.mu or EARTH_MU, radius=radius)
 
     def drift_free_velocities(
         self, position: Float[Array, "k d"], t: float, where: str, times: Sequence[float]
@@ -115,12 +168,12 @@ class Chief(Definition):
 
         Raises:
             InputError: They are out of the chief's plane where no velocity keeps them there, or
-                farther from the chief than the Earth.
+                farther from the chief than the center of the body.
         """
         away, most = np.abs(position).max(initial=0.0), self.orbit.elements_at(t)[0]
         if away > most:
             reason = f"lies {away / 1e3:.4g} km from the chief, which is {most / 1e3:.4g} km"
-            raise InputError(where, f"{reason} from the center of the Earth")
+            raise InputError(where, f"{reason} from the center of {self.center.name}")
         try:
             return invariant_velocity(self.orbit, position, t)
         except ValueError as error:
@@ -152,7 +205,7 @@ class Chief(Definition):
         return f"chief.anomaly_deg = {best} would do, or {flat}"
 
     def check(self) -> None:
-        """Refuse no orbit, two, or one that meets the Earth."""
+        """Refuse no orbit, two, or one that meets the body."""
         given = [
             key
             for key, names in WAYS.items()
@@ -180,23 +233,25 @@ class Chief(Definition):
         elif way == "position_m":
             self._check_state(needed["position_m"], needed["velocity_m_s"])
         else:
-            _ = self.orbit
+            with errors_in("radius_m"):
+                _ = self.orbit
 
     def _check_elements(self, a: float) -> None:
         e, i = self.eccentricity or 0.0, self.inclination or 0.0
-        rounder = f"eccentricity = {round_down(1 - EARTH_RADIUS / a)}" if a > EARTH_RADIUS else ""
+        body, _, radius, _ = self.center
+        rounder = f"eccentricity = {round_down(1 - radius / a)}" if a > radius > 0 else ""
         if e >= 1:
             cure = rounder or "less than 1, in a wider orbit,"
             raise InputError("eccentricity", f"{e:g} is no ellipse; {cure} would do")
-        if a * (1 - e) <= EARTH_RADIUS:
-            cures = [f"semi_major_axis_km = {round_up(EARTH_RADIUS / (1 - e) / 1e3)}"]
+        if a * (1 - e) <= radius:
+            cures = [f"semi_major_axis_km = {round_up(radius / (1 - e) / 1e3)}"]
             key = "semi_major_axis_m"
             if e > 0 and rounder:
                 key, cures = "eccentricity", [rounder, *cures]
             raise InputError(
                 key,
-                f"puts the perigee {a * (1 - e) / 1e3:.6g} km from the Earth's center, inside the "
-                f"Earth, whose radius is {EARTH_RADIUS / 1e3:.0f} km; {join_names(cures)} would do",
+                f"puts the perigee {a * (1 - e) / 1e3:.6g} km from {body}'s center, inside {body}, "
+                f"whose radius is {radius / 1e3:.0f} km; {join_names(cures)} would do",
             )
         if not 0 <= i <= pi:
             message = f"must be between 0 and 180 degrees, got {degrees(i):.6g}"
@@ -207,13 +262,14 @@ class Chief(Definition):
             if len(value) != 3:
                 raise InputError(name, f"needs 3 coordinates, got {len(value)}")
         r = float(np.linalg.norm(position))
-        if r <= EARTH_RADIUS:
-            where = f"{r / 1e3:.6g} km from the Earth's center, inside the Earth"
+        body, mu, radius, _ = self.center
+        if r <= radius:
+            where = f"{r / 1e3:.6g} km from {body}'s center, inside {body}"
             raise InputError("position_m", f"is {where}")
         try:
             _ = self.orbit
         except ValueError as error:
-            reason, circular = str(error).split(";")[0], (EARTH_MU / r) ** 0.5
+            reason, circular = str(error).split(";")[0], (mu / r) ** 0.5
             raise InputError(
                 "velocity_m_s",
                 f"{reason}; perpendicular to position_m, {circular:.6g} m/s is a circular orbit",

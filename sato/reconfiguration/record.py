@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from numpy import ndarray as Array
 
+from dynamics.bodies import EARTH, find_body
 from sato.network.load import PURPOSES
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import ReconfigurationFrame
@@ -59,6 +60,8 @@ def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
         **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
         **({} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}),
     }
+    if orbit is not None and (body := find_body(orbit.mu)) is not EARTH:
+        found["center"] = body.name.removeprefix("the ").upper().replace(" ", "_")
     # An array of one entry is read back as a number.
     return {k: v[0] if isinstance(v, tuple) and len(v) == 1 else v for k, v in found.items()}
 

@@ -11,7 +11,7 @@ of keys in the documentation, the messages of errors, and equality by value.
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,8 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
 from dynamics.inputs import as_array as as_array
+from dynamics.model import Model
+from dynamics.plant import Plant
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, join_names
@@ -75,6 +77,13 @@ class Definition:
             return NotImplemented
         names = [field.name for field in fields_of(type(self))]
         return all(_equal(getattr(self, name), getattr(other, name)) for name in names)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a copy or a pickle; arrays of its fields cannot be written to there either."""
+        self.__dict__.update(state)
+        for field in fields_of(type(self)):
+            if isinstance(value := getattr(self, field.name), Array):
+                value.setflags(write=False)
 
     def __hash__(self) -> int:
         """Hash the fields that are numbers or text."""
@@ -266,9 +275,22 @@ def _classes(hint: Any) -> list[type]:
 def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, Array) or isinstance(other, Array):
         return isinstance(one, Array) and isinstance(other, Array) and np.array_equal(one, other)
-    if isinstance(one, tuple) and isinstance(other, tuple):
+    if isinstance(one, tuple | list) and type(one) is type(other):
         return len(one) == len(other) and all(map(_equal, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
+    if isinstance(one, Model | Plant) and type(one) is type(other) and one is not other:
+        has_rule = type(one).__eq__ is not object.__eq__ and not is_dataclass(one)
+        return bool(one == other) if has_rule else _equal(_state_of(one), _state_of(other))
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return False
     return bool(one == other)
+
+
+def _state_of(value: Model | Plant) -> dict[str, Any]:
+    # What it was made of, without what was computed from that; two without attributes are equal.
+    cached = [n for n in vars(value) if isinstance(getattr(type(value), n, None), cached_property)]
+    return {name: part for name, part in vars(value).items() if name not in cached}
 
 
 def _short(value: Any) -> str:

@@ -14,7 +14,7 @@ from pydantic import Field
 from sato.scenario.definition import Definition, In
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
 from sato.scenario.overrides import Setting, override
-from sato.scenario.table import read_table, write_table
+from sato.scenario.table import OWN, find_own, name_class, read_table, write_table
 from sato.systems import definition_of
 
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
@@ -60,7 +60,28 @@ class Mission(Definition):
 
     def to_toml(self) -> str:
         """Write the mission as a scenario file that needs no other file."""
-        return tomli_w.dumps({"system": self.system} | write_table(self.without_files()))
+        plain = self.without_files()
+        is_own = type(plain) is not definition_of(self.system)
+        head = {"system": self.system, **(name_class(plain) if is_own else {})}
+        return tomli_w.dumps(head | write_table(plain))
+
+
+def describe_own(text: str) -> str:
+    """Say which parts of a scenario are of the user's own, and how they are given; "" if none.
+
+    Args:
+        text: TOML that `Mission.to_toml` wrote.
+    """
+    from problems.solvers import load_adapters  # slow, and for this alone
+
+    data = load_toml(text, "run.nc")
+    found = [f"the {place} `{kind}`" if kind else f"the {place}" for place, kind in find_own(data)]
+    match data:
+        case {"plan": {"solver": str(solver)}} if solver not in load_adapters():
+            found.append(f"the plan.solver `{solver}`")
+    verb, them = ("is", "it") if len(found) == 1 else ("are", "them")
+    given = f"{verb} of your own; sato.load(path, mission=...) gives {them}"
+    return f"{join_names(found, 'and')} {given}" if found else ""
 
 
 def scenarios() -> dict[str, str]:
@@ -177,6 +198,9 @@ def from_dict(
     definition = definition_of(data.pop("system", ""))
     for setting in overrides:
         override(data, setting, definition)
+    for address, kind in find_own(data):
+        reason = f'"{kind or OWN}" is of a mission in Python, which no file can hold'
+        raise InputError(address, f"{reason}; sato.run(mission) would fly it")
     mission: Mission = read_table(definition, definition.with_defaults(data))
     return mission
 

@@ -3,12 +3,13 @@
 import tomllib
 from collections.abc import Iterator
 from copy import deepcopy
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from sato.scenario.definition import Field, fields_of
 from sato.scenario.errors import InputError, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
+NONE = object()  # value that takes a key away, unless the key has a value "none"
 Path = tuple[str | int, ...]
 
 
@@ -23,6 +24,11 @@ class Spot(NamedTuple):
         """List the keys of the data that have the meaning of this one, in whatever unit."""
         name = find_key(key, self.entries)
         return [old for old in self.data if find_key(old, self.entries) == name]
+
+    def takes_none(self, key: str) -> bool:
+        """Tell whether "none" is one of the values that a key may have."""
+        entry = self.entries[str(find_key(key, self.entries))]
+        return entry is not None and "none" in get_args(entry.field.hint)
 
     def address(self, key: str) -> str:
         """Return the key with its tables, without the numbers of lists."""
@@ -39,7 +45,8 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
         data: As read from TOML.
         setting: "table.key=value", or the key and the value. Where only one table has the key,
             the key alone; a list of tables is meant as a whole unless a number picks one of
-            them. The value of a text is TOML, or else the bare text.
+            them. The value of a text is TOML, or else the bare text. None takes the key away, as
+            the bare text none does unless it is a value of the key.
         definition: Mission of the system, whose keys the tables may have.
 
     Returns:
@@ -52,12 +59,14 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
     key, plain = address.split(".")[-1], _without_numbers(address)
     holders = _find_holders(data, address, definition)
     for spot in holders:
+        for old in spot.same_keys(key):
+            del spot.data[old]
+        if value is None or (value is NONE and not spot.takes_none(key)):
+            continue
         table: Any = data
         for part in spot.path:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
-        for old in spot.same_keys(key):
-            del table[old]
-        table[key] = deepcopy(value)
+        table[key] = "none" if value is NONE else deepcopy(value)
     # Numbers pick tables of a list.
     return holders[0].address(key) if address == plain else address
 
@@ -150,6 +159,8 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
 
 
 def _parse_value(written: str) -> Any:
+    if written == "none":  # in quotes it is a text
+        return NONE
     try:
         parsed = tomllib.loads(f"value = {written}")
     except (ValueError, RecursionError):

@@ -13,7 +13,7 @@ from sato.scenario.definition import (
     Field,
     errors_in,
     fields_of,
-    is_definition,
+    is_named_tuple,
     kinds_of,
     map_numbered,
 )
@@ -81,26 +81,56 @@ def read_table(definition: Any, data: dict[str, Any]) -> Any:
 def write_table(value: Any) -> dict[str, Any]:
     """Write a definition as the table of a file; what is not given is left out.
 
-    A value that no file can hold, as a model of the user's own, is written as kind "own".
+    A value that no file can hold, as a model of the user's own, is written as kind "own", with the
+    name of its class.
     """
-    held: Any = next((getattr(value, f.name) for f in fields_of(type(value)) if f.is_inline), None)
+    held: Any = None  # by the inline field
+    own: dict[str, dict[str, Any]] = {}  # tables of values of the user's own
+    for field in fields_of(type(value)):
+        if field.is_inline or field.is_nested:
+            part = getattr(value, field.name)
+            if part is not None and type(part) not in field.variants:
+                own[field.table if field.is_inline else field.key] = name_class(part)
+            elif field.is_inline:
+                held = part
     written: dict[str, Any] = {}
-    tables = layout(type(value), type(held) if is_definition(type(held)) else None)
-    for table, entries in tables.items():
-        rows = {}
+    for table, entries in layout(type(value), None if held is None else type(held)).items():
+        rows = dict(own.get(table, {}))
         for key, entry in entries.items():
             if entry is not None:
                 part = reduce(lambda at, name: getattr(at, name, None), entry.path, value)
-                plain = OWN if entry.field.is_inline else _plain(part)
+                is_own = table in own and (entry.field.is_inline or len(entry.path) > 1)
+                plain = None if is_own else _plain(part, entry.field.variants)
             else:
                 plain = (held if table else value).kind if key == "kind" else None
             if plain is not None:
-                rows[key] = plain
+                rows.setdefault(key, plain)
         if table and rows:
             written[table] = rows
         elif not table:
             written = rows
     return written
+
+
+def name_class(value: object) -> dict[str, str]:
+    """Return the table that stands for a value that no file can hold: the name of its class."""
+    kind = type(value)
+    return {"kind": OWN, "class": f"{kind.__module__}.{kind.__qualname__}"}
+
+
+def find_own(data: Any, address: str = "") -> Iterator[tuple[str, str]]:
+    """Yield address and class of each value of the user's own that a file names.
+
+    The class of a model is empty in files of earlier versions.
+    """
+    parts: Any = data.items() if isinstance(data, dict) else ()
+    if isinstance(data, dict) and data.get("kind") == OWN:
+        if "class" in data or address == "model":
+            yield address, str(data.get("class", ""))
+    elif isinstance(data, list) and any(isinstance(part, dict) for part in data):
+        parts = enumerate(data)
+    for key, part in parts:
+        yield from find_own(part, f"{address}.{key}" if address else str(key))
 
 
 def choose(field: Field, data: Any) -> type:
@@ -118,8 +148,6 @@ def choose(field: Field, data: Any) -> type:
         raise InputError("kind", f"is missing; there are {names}")
     if isinstance(kind, str) and kind in field.kinds:
         return field.kinds[kind]
-    if kind == OWN:
-        raise InputError("kind", '"own" is of a mission in Python, which no file can hold')
     close = closest_name(str(kind), field.kinds)
     hint = f'; did you mean "{close}"?' if close else ""
     raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}{hint}")
@@ -217,13 +245,16 @@ def _build(definition: type, values: dict[tuple[str, ...], Any]) -> Any:
     return definition(**arguments)
 
 
-def _plain(value: Any) -> Any:
-    if is_definition(type(value)):
+def _plain(value: Any, variants: tuple[type, ...] = ()) -> Any:
+    if type(value) in variants:
         return write_table(value)
     if isinstance(value, Array):
         return value.tolist()
-    if isinstance(value, tuple):
-        return [part if isinstance(part, float) else _plain(part) for part in value] or None
+    if isinstance(value, tuple) and not is_named_tuple(type(value)):
+        parts = [part if isinstance(part, float) else _plain(part, variants) for part in value]
+        return parts or None
+    if variants and value is not None:
+        return name_class(value)
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -24,6 +24,10 @@ from sato.connectivity.record import run_attributes
 from sato.network.graph import canonicalize_labels, label_components
 from sato.run_data import RunData
 
+PROMISES = tuple(
+    "complete attributes times numbers alive start flight obedience heading speed turn stick"
+    " weights visibility eigenvalues component connectivity separation obstacles".split()
+)
 TOLERANCE = 1e-9  # rounding of weights, eigenvalues, cosines and speeds
 MAX_CHATTERING = 0.01  # share of commands; a jumping gradient makes some tenths of them
 NOISE_SIGMAS = 8  # standard deviations of noise that are allowed; 1 in 10¹⁵ is beyond

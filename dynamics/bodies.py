@@ -1,0 +1,73 @@
+"""Bodies that orbits go about: gravity, radius and oblateness, found by the gravity.
+
+A value that a caller leaves out is that of the body whose gravitational parameter is given.
+"""
+
+from math import inf, isfinite
+from typing import Any, NamedTuple
+
+# The constants of the Earth are those of [IERS2010, table 1.1].
+EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
+EARTH_RADIUS = 6378136.6  # at the equator [m]
+EARTH_J2 = 1.0826359e-3  # dynamical form factor
+EARTH_ROTATION = 7.292115e-5  # [rad/s]
+FROM_MU = float("nan")  # default of what follows from mu; known by identity, other NaN are wrong
+SAME_BODY = 1e-3  # relative difference of two gravitational parameters of one body, at most
+
+
+class Body(NamedTuple):
+    """Planet or moon."""
+
+    name: str
+    mu: float  # gravitational parameter [m³/s²]
+    radius: float  # at the equator [m]
+    J2: float  # dynamical form factor
+
+
+EARTH = Body("the Earth", EARTH_MU, EARTH_RADIUS, EARTH_J2)
+UNKNOWN = Body("the central body", 0.0, 0.0, 0.0)
+BODIES = (
+    EARTH,
+    # NASA's planetary fact sheets, https://nssdc.gsfc.nasa.gov/planetary/factsheet/
+    Body("the Moon", 4.9028e12, 1738.1e3, 2.027e-4),
+    Body("Mars", 4.282837e13, 3396.2e3, 1.96045e-3),
+    Body("Venus", 3.24859e14, 6051.8e3, 4.458e-6),
+    Body("Mercury", 2.2032e13, 2440.5e3, 5.03e-5),
+)
+NO_BODY = "is missing, and mu = {:.6g} m³/s² is of no known body; 0 is Keplerian motion"
+
+
+def find_body(mu: float) -> Body:
+    """Find the body with a gravitational parameter [m³/s²]; `UNKNOWN` where there is none."""
+    near = (body for body in BODIES if abs(mu - body.mu) <= SAME_BODY * body.mu)
+    return next(near, UNKNOWN)
+
+
+def oblateness(J2: float, mu: float, radius: float) -> float:
+    """Compute k_J2 = 3/2 J₂ μ R² [m⁵/s²] from J₂, μ [m³/s²] and the radius [m]."""
+    return 1.5 * J2 * mu * radius**2
+
+
+def complete_gravity(value: Any) -> None:
+    """Set k_J2 and body_radius of a frozen value to those of the body with its mu, if not given.
+
+    A radius of 0 is not known: nothing hits the surface.
+
+    Raises:
+        ValueError: A number is out of its range, or no body has this mu and k_J2 is not given.
+    """
+    mu, k, radius = value.mu, value.k_J2, value.body_radius
+    if not 0 < mu < inf:
+        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
+    body = find_body(mu)
+    radius = body.radius if radius in (FROM_MU, None) else radius
+    if k in (FROM_MU, None) and body is UNKNOWN:
+        raise ValueError(f"k_J2: {NO_BODY.format(mu)}")
+    k = oblateness(body.J2, mu, radius or body.radius) if k in (FROM_MU, None) else k
+    if k == oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS) and body not in (EARTH, UNKNOWN):
+        raise ValueError(f"k_J2: {k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
+    if not (isfinite(k) and 0 <= radius < inf):
+        reason = "k_J2 must be a small part of gravity, and body_radius finite and not negative"
+        raise ValueError(f"{reason}, got {k} m⁵/s² and {radius} m")
+    object.__setattr__(value, "k_J2", k)
+    object.__setattr__(value, "body_radius", radius)
