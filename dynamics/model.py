@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, CallbackError, as_shape, call, check_result, guard
+from dynamics.inputs import InputError
 from dynamics.symbols import Number, Numbers, is_symbolic, make_function, to_array, to_casadi, trace
 
 # One instant, or many: the leading axes of times, states and controls broadcast.
@@ -30,10 +32,11 @@ class Model(ABC):
     axes: int  # dimension d of space: the state has 2d entries, the control d
 
     def __init_subclass__(cls) -> None:
-        """Let the rate of every model take CasADi symbols."""
+        """Let the rate of every model take CasADi symbols, and check methods of the user's own."""
         if "rate" in cls.__dict__:
             # A decorator for all subclasses, which none can forget.
             cls.rate = _take_symbols(cls.rate)  # type: ignore[method-assign]
+        guard(cls, _CALLBACKS)
 
     @abstractmethod
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
@@ -70,6 +73,60 @@ def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
         return rate(self, t, x, u)
 
     return take
+
+
+def _check_array(*axes: str) -> Callable[[Model, dict[str, Any], Any], Array]:
+    """Make the check of a result of one time: "n" for states, "m" for controls."""
+
+    def check(model: Model, given: dict[str, Any], value: Any) -> Array:
+        return as_shape(value, tuple(2 * model.axes if n == "n" else model.axes for n in axes))
+
+    return check
+
+
+def _check_rate(model: Model, given: dict[str, Any], value: Any) -> Array:
+    (rate,) = _check_stacks(given, [value], [(2 * model.axes,)], can_stretch=False)
+    return rate
+
+
+def _check_jacobian(model: Model, given: dict[str, Any], value: Any) -> tuple[Array, ...]:
+    n, m = 2 * model.axes, model.axes
+    return _check_stacks(given, value, [(n, n), (n, m)])
+
+
+def _check_matrices(model: Model, given: dict[str, Any], value: Any) -> tuple[Array, ...]:
+    n, m = 2 * model.axes, model.axes
+    return _check_stacks(given, value, [(n, n), (n, m), (n,)])
+
+
+def _check_stacks(
+    given: dict[str, Any], values: Any, shapes: list[tuple[int, ...]], can_stretch: bool = True
+) -> tuple[Array, ...]:
+    """Convert results for one instant, or for as many as there are times, states and controls."""
+    x, u = (given.get(name, np.zeros(1)) for name in "xu")
+    times = given.get("times", given.get("t"))
+    lead = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1])
+    if not isinstance(values, tuple | list) or len(values) != len(shapes):
+        got = f"{len(values)} of them" if isinstance(values, tuple | list) else type(values).__name__
+        raise InputError("", f"must be {len(shapes)} arrays, got {got}")
+    try:
+        each = zip(values, shapes, strict=True)
+        return tuple(as_shape(value, (*lead, *shape), can_stretch) for value, shape in each)
+    except InputError as error:
+        if "x" not in given or np.any(x) or np.any(u):
+            raise
+        why = "here at rest, x = 0 and u = 0, about which it is linearized for prices"
+        raise InputError("", f"{error}; {why}") from error
+
+
+_CALLBACKS = {
+    "A": Callback(("t",), _check_array("n", "n")),
+    "B": Callback(("t",), _check_array("n", "m")),
+    "z": Callback(("t",), _check_array("n")),
+    "matrices": Callback(("times",), _check_matrices),
+    "rate": Callback(("t", "x", "u"), _check_rate),
+    "jacobian": Callback(("t", "x", "u"), _check_jacobian),
+}
 
 
 class NonlinearModel(Model):
@@ -170,10 +227,32 @@ class SymbolicModel(NonlinearModel):
         """Return the expression as a `casadi.Function` of t, x and u, with the output rate."""
         return self._functions[0]
 
+    @property
+    def _name(self) -> str:
+        name = getattr(self.expression, "__name__", type(self.expression).__name__)
+        return f"SymbolicModel.expression {name}"
+
+    def _trace(self, t: Any, x: Any, u: Any) -> Any:
+        """Return the expression as a column of CasADi; an acceleration alone is none."""
+        import casadi
+
+        found, n = call(self._name, self.expression, t, x, u), 2 * self.axes
+        if isinstance(found, list | tuple | Array):
+            found = call(self._name, casadi.vertcat, *found)
+        shape = getattr(found, "shape", None)
+        if not is_symbolic(found) or shape != (n, 1):
+            got = f"{type(found).__name__}" + (f" of shape {shape}" if shape else "")
+            would_do = "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
+            raise CallbackError(
+                "", f"{self._name}: the result must be a column of {n} entries, got {got}; {would_do}"
+            )
+        return found
+
     def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
         # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
         count, columns, found = int(np.prod(lead)), [], []
+        given: dict[str, Any] = {"t": t, "x": x, "u": u}
         for values in (np.asarray(t)[..., None], x, u):
             n = values.shape[-1]
             columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
@@ -181,13 +260,20 @@ class SymbolicModel(NonlinearModel):
             matrix = to_array(result)
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             found.append(stacked.reshape(*lead, *stacked.shape[1:]))
+            if matrix.dtype != object and not np.isfinite(matrix).all():
+                shapes = [stacked.shape[1:]]
+                check_result(self._name, lambda: _check_stacks(given, found[-1:], shapes))
         return found
 
     @cached_property
     def _functions(self) -> tuple[Any, Any]:
         import casadi
 
-        rate = make_function(self.expression, self.axes)
+        try:
+            rate = make_function(self._trace, self.axes)
+        except RuntimeError as error:  # of CasADi
+            what = "takes symbols that are none of t, x and u, or are not SX as these are"
+            raise CallbackError("", f"{self._name} {what}") from error
         t, x, u = rate.sx_in()
         f = rate(t, x, u)
         derivatives = [casadi.jacobian(f, x), casadi.jacobian(f, u)]

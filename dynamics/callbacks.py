@@ -1,0 +1,211 @@
+"""Callbacks: functions and methods of a user's own, called with copies, their results checked.
+
+They are not trusted. Each gets arrays that nobody else has and that cannot be written to. What it
+returns is converted and checked at the door, and what it raises becomes one sentence, with the
+place in the user's file. Functions of this library are called as they are.
+"""
+
+import os
+import sysconfig
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
+from pathlib import Path
+from traceback import walk_tb
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from dynamics.inputs import InputError, as_array
+from dynamics.symbols import Symbol, is_symbolic
+
+LIBRARY = ("dynamics", "problems", "sato")
+_ROOT = Path(__file__).parent.parent
+# Folders of code that is not the user's.
+_FOREIGN = (
+    *(f"{_ROOT / name}{os.sep}" for name in LIBRARY),
+    *(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")),
+    "<frozen",
+    "<__array",
+)
+
+_is_strict: ContextVar[bool] = ContextVar("is_strict", default=False)
+
+
+class CallbackError(InputError):
+    """Fault of a function of the user's own: it raised, or returned what it may not.
+
+    An exception that it raised is the cause of this one.
+    """
+
+
+class Callback(NamedTuple):
+    """Method that users write: names of its parameters, and the check of its result.
+
+    The check gets the object, the arguments by name, and the result, and returns it converted. It
+    raises an `InputError` that begins with "must".
+    """
+
+    parameters: tuple[str, ...]
+    check: Callable[[Any, dict[str, Any], Any], Any]
+
+
+def is_own(part: Any) -> bool:
+    """Tell whether a class or a function is the user's own, and not of this library."""
+    return str(getattr(part, "__module__", "")).partition(".")[0] not in LIBRARY
+
+
+def is_strict() -> bool:
+    """Tell whether exceptions of callbacks are to be raised as they are (`strictly`)."""
+    return _is_strict.get()
+
+
+@contextmanager
+def strictly(is_wanted: bool) -> Iterator[None]:
+    """Raise exceptions of callbacks as they are, where this is wanted."""
+    token = _is_strict.set(is_wanted)
+    try:
+        yield
+    except InputError as error:
+        fault: BaseException | None = error
+        while is_wanted and fault is not None:
+            if isinstance(fault, CallbackError) and fault.__cause__ is not None:
+                raise fault.__cause__ from fault.__cause__.__cause__
+            fault = fault.__cause__
+        raise
+    finally:
+        _is_strict.reset(token)
+
+
+def call(
+    name: str,
+    function: Callable[..., Any],
+    *arguments: Any,
+    passes: tuple[type[Exception], ...] = (CallbackError,),
+    **options: Any,
+) -> Any:
+    """Call a function of the user's own with copies of arrays, which cannot be written to.
+
+    Args:
+        name: Name of the function in messages.
+        function: The function.
+        arguments: Its arguments.
+        passes: Exceptions that are raised as they are.
+        options: Its keyword arguments.
+
+    Raises:
+        CallbackError: It raised an exception.
+    """
+    try:
+        return function(*map(_protect, arguments), **{k: _protect(v) for k, v in options.items()})
+    except passes:
+        raise
+    except Exception as error:
+        where = f" ({place})" if (place := find_place(error, function)) else ""
+        if isinstance(error, ValueError) and "read-only" in str(error):
+            reason = "writes into an array that it was given, which is the flight's"
+            raise CallbackError("", f"{name} {reason}{where}; x = x.copy() would do") from error
+        raise CallbackError("", f"{name} raised {_describe(error)}{where}") from error
+
+
+def check_result(name: str, check: Callable[[], Any]) -> Any:
+    """Return what a check of a result returns; its `InputError` becomes that of the callback."""
+    try:
+        return check()
+    except CallbackError:
+        raise
+    except InputError as error:
+        raise CallbackError("", f"{name}: the result {error}") from error
+
+
+def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> Array:
+    """Convert a result to an array of finite doubles of a shape.
+
+    Args:
+        value: The result.
+        shape: Shape of the array.
+        can_stretch: True where leading axes may be missing, along which it is then the same.
+
+    Raises:
+        InputError: It cannot be converted, or has another shape.
+    """
+    would_do = f"an array of shape {shape} would do"
+    if value is None:
+        raise InputError("", f"must not be None: a return is missing; {would_do}")
+    try:
+        lacking = len(shape) - np.ndim(value) if can_stretch else 0
+        array = as_array(value, len(shape) - max(lacking, 0)) if 0 not in shape else np.zeros(shape)
+    except InputError as error:
+        raise InputError("", f"{error}; {would_do}") from error
+    except Exception as error:  # whatever an object raises that cannot become an array
+        raise InputError("", f"must be an array, got {type(value).__name__}; {would_do}") from error
+    if array.shape != shape[max(lacking, 0) :]:
+        raise InputError("", f"must be an array of shape {shape}, got {array.shape}")
+    return np.array(np.broadcast_to(array, shape))
+
+
+def guard(cls: type, callbacks: Mapping[str, Callback]) -> None:
+    """Let methods of a class that are the user's own be called and checked as callbacks.
+
+    Called for each subclass of a class of this library.
+
+    Raises:
+        InputError: One of them is no method.
+    """
+    for name, callback in callbacks.items():
+        owner = next((each for each in cls.__mro__ if name in vars(each)), None)
+        method = None if owner is None else vars(owner)[name]
+        if not is_own(owner) or owner is None or getattr(method, "is_guarded", False):
+            continue
+        if not hasattr(method, "__get__"):
+            kind = type(method).__name__
+            raise InputError(f"{cls.__name__}.{name}", f"must be a method, got an object {kind}")
+        setattr(cls, name, _guard_method(name, method, callback))
+
+
+def _guard_method(name: str, method: Any, callback: Callback) -> Any:
+    @wraps(method)
+    def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
+        bound, given = method.__get__(self, type(self)), dict(zip(callback.parameters, arguments))
+        given |= options
+        is_super = getattr(type(self), name) is not guarded  # checked by the method that calls it
+        if is_super or any(_has_symbols(value) for value in given.values()):
+            return bound(*arguments, **options)
+        time = given.get("t")
+        when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
+        full = f"{type(self).__name__}.{name}{when}"
+        result = call(full, bound, *arguments, **options)
+        return check_result(full, lambda: callback.check(self, given, result))
+
+    guarded.is_guarded = True  # type: ignore[attr-defined]
+    return guarded
+
+
+def find_place(error: BaseException, function: Any) -> str:
+    """Find the file and the line of the user's code that raised an exception; "" if unknown."""
+    places = [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__)]
+    code = getattr(getattr(function, "__func__", function), "__code__", None)
+    first = [] if code is None else [(code.co_filename, code.co_firstlineno)]
+    known = [place for place in first + places if not place[0].startswith(_FOREIGN)]
+    return f"{Path(known[-1][0]).name}:{known[-1][1]}" if known else ""
+
+
+def _describe(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    text = text if len(text) <= 300 else f"{text[:300]}…"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _protect(value: Any) -> Any:
+    if not isinstance(value, Array) or value.dtype == object:
+        return value
+    copy = value.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def _has_symbols(value: Any) -> bool:
+    is_array = isinstance(value, Array) and value.dtype == object
+    return is_array or isinstance(value, Symbol) or is_symbolic(value)
