@@ -110,10 +110,10 @@ def call(
         raise CallbackError("", f"{name} raised {_describe(error)}{where}") from error
 
 
-def check_result(name: str, check: Callable[[], Any]) -> Any:
+def check_result(name: str, check: Callable[..., Any], *arguments: Any) -> Any:
     """Return what a check of a result returns; its `InputError` becomes that of the callback."""
     try:
-        return check()
+        return check(*arguments)
     except CallbackError:
         raise
     except InputError as error:
@@ -168,8 +168,8 @@ def guard(cls: type, callbacks: Mapping[str, Callback]) -> None:
 def _guard_method(name: str, method: Any, callback: Callback) -> Any:
     @wraps(method)
     def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
-        bound, given = method.__get__(self, type(self)), dict(zip(callback.parameters, arguments))
-        given |= options
+        bound = method.__get__(self, type(self))
+        given = dict(zip(callback.parameters, arguments, strict=False)) | options
         is_super = getattr(type(self), name) is not guarded  # checked by the method that calls it
         if is_super or any(_has_symbols(value) for value in given.values()):
             return bound(*arguments, **options)
@@ -177,7 +177,7 @@ def _guard_method(name: str, method: Any, callback: Callback) -> Any:
         when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
         full = f"{type(self).__name__}.{name}{when}"
         result = call(full, bound, *arguments, **options)
-        return check_result(full, lambda: callback.check(self, given, result))
+        return check_result(full, callback.check, self, given, result)
 
     guarded.is_guarded = True  # type: ignore[attr-defined]
     return guarded

@@ -1,7 +1,7 @@
 """Models: equations of motion that planning and plants share."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from typing import Any, ClassVar
@@ -100,14 +100,16 @@ def _check_matrices(model: Model, given: dict[str, Any], value: Any) -> tuple[Ar
 
 
 def _check_stacks(
-    given: dict[str, Any], values: Any, shapes: list[tuple[int, ...]], can_stretch: bool = True
+    given: dict[str, Any], values: Any, shapes: Sequence[tuple[int, ...]], can_stretch: bool = True
 ) -> tuple[Array, ...]:
     """Convert results for one instant, or for as many as there are times, states and controls."""
     x, u = (given.get(name, np.zeros(1)) for name in "xu")
-    times = given.get("times", given.get("t"))
+    times: Any = given.get("times", given.get("t"))
     lead = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1])
     if not isinstance(values, tuple | list) or len(values) != len(shapes):
-        got = f"{len(values)} of them" if isinstance(values, tuple | list) else type(values).__name__
+        got = (
+            f"{len(values)} of them" if isinstance(values, tuple | list) else type(values).__name__
+        )
         raise InputError("", f"must be {len(shapes)} arrays, got {got}")
     try:
         each = zip(values, shapes, strict=True)
@@ -242,9 +244,12 @@ class SymbolicModel(NonlinearModel):
         shape = getattr(found, "shape", None)
         if not is_symbolic(found) or shape != (n, 1):
             got = f"{type(found).__name__}" + (f" of shape {shape}" if shape else "")
-            would_do = "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
+            would_do = (
+                "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
+            )
             raise CallbackError(
-                "", f"{self._name}: the result must be a column of {n} entries, got {got}; {would_do}"
+                "",
+                f"{self._name}: the result must be a column of {n} entries, got {got}; {would_do}",
             )
         return found
 
@@ -261,8 +266,7 @@ class SymbolicModel(NonlinearModel):
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             found.append(stacked.reshape(*lead, *stacked.shape[1:]))
             if matrix.dtype != object and not np.isfinite(matrix).all():
-                shapes = [stacked.shape[1:]]
-                check_result(self._name, lambda: _check_stacks(given, found[-1:], shapes))
+                check_result(self._name, _check_stacks, given, found[-1:], [stacked.shape[1:]])
         return found
 
     @cached_property

@@ -68,7 +68,9 @@ def _check_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
         value = np.where(absent[:, None], 0.0, value)  # rows of absent agents may be anything
     states = as_shape(value, shape)
     if not np.allclose(states[0, ~absent], x[~absent], ROUNDING, ROUNDING):
-        i = int(np.flatnonzero(~np.isclose(states[0], x, ROUNDING, ROUNDING).all(axis=1) & ~absent)[0])
+        i = int(
+            np.flatnonzero(~np.isclose(states[0], x, ROUNDING, ROUNDING).all(axis=1) & ~absent)[0]
+        )
         begins = f"{states[0, i].tolist()} for {x[i].tolist()} of agent {i}"
         raise InputError("", f"must begin with the given states, got {begins}")
     states[0], states[:, absent] = x, np.nan

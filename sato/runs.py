@@ -17,6 +17,8 @@ import numpy as np
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
+from dynamics.callbacks import CallbackError, call, is_own, strictly
+from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Report
@@ -162,6 +164,7 @@ def run(
     seed: int = 0,
     overrides: Iterable[str] = (),
     progress: bool | FrameCallback | None = None,
+    strict: bool = False,
     processes: Literal["lock-step", "free-running"] | None = None,
     port: int | None = None,
     speed: float = 1.0,
@@ -179,6 +182,9 @@ def run(
         overrides: Each "table.key=value"; not with a mission.
         progress: True shows a progress bar; a function is called with the drawn mission and
             each frame.
+        strict: Raise exceptions of functions of your own as they are: of models, plants, solvers,
+            systems and `progress`. By default those of a model, a plant or a system end the flight,
+            and those of a solver or of `progress` are counted; the first is shown.
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
         port: Port of the loopback interface by which processes talk; any that is free by default.
@@ -190,7 +196,7 @@ def run(
     began = perf_counter()
     overrides = overrides if isinstance(overrides, str) else tuple(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"), strictly(strict):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:
@@ -200,10 +206,13 @@ def run(
             system = as_processes(system, mission, int(seed), processes, port, speed, *own)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
-        callback = progress if callable(progress) else (lambda mission, frame: None)
+        watcher = flight_frames.Watcher(progress) if callable(progress) else None
+        callback = watcher or (lambda mission, frame: None)
         bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
         with bar as callback:
-            frames, stopped = _collect_frames(system, drawn, rng, callback)
+            frames, stopped = _collect_frames(system, drawn, rng, callback, strict)
+        if watcher is not None:
+            watcher.close()
         data = record.collect_run_data(
             system,
             frames,
@@ -233,7 +242,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
         ValueError: The scenario cannot be flown.
     """
     mission, drawn, rng = _draw(scenario, seed, overrides)
-    frames = load_system(mission.system).simulate(drawn, rng)
+    frames = flight_frames.fly(load_system(mission.system), drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
 
@@ -279,9 +288,15 @@ def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, A
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:
         mission = scenario
-    rng = np.random.default_rng(seed)
+    rng, name = np.random.default_rng(seed), f"{type(mission).__name__}.draw"
     try:
-        return mission, mission.draw(rng), rng
+        if not is_own(type(mission)):
+            return mission, mission.draw(rng), rng
+        drawn = call(name, mission.draw, rng, passes=(InputError,))
+        if not isinstance(drawn, type(mission)):
+            reason = f"must be a {type(mission).__name__}, got {type(drawn).__name__}"
+            raise CallbackError("", f"{name}: the result {reason}")
+        return mission, drawn, rng
     except InputError as error:
         if isinstance(scenario, str | Path):
             raise ScenarioError(f"{scenario}: {error}") from error
@@ -305,7 +320,11 @@ def _add_check_results(run: Run) -> Run:
 
 
 def _collect_frames(
-    system: System[Any, Any], mission: Any, rng: Generator, callback: FrameCallback
+    system: System[Any, Any],
+    mission: Any,
+    rng: Generator,
+    callback: FrameCallback,
+    is_strict: bool = False,
 ) -> tuple[list[Any], str]:
     # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
     # waits for the next frame; a second one does not.
@@ -320,10 +339,11 @@ def _collect_frames(
 
     frames: list[Any] = []
     endings: tuple[type[BaseException], ...] = (KeyboardInterrupt, *system.stop_errors)
+    endings = endings if is_strict else (*endings, CallbackError)
     try:
         if is_deferred:
             signal.signal(signal.SIGINT, note)
-        for frame in system.simulate(mission, rng):
+        for frame in flight_frames.fly(system, mission, rng):
             frames.append(frame)
             callback(mission, frame)
             if interrupted.is_set():

@@ -1,6 +1,7 @@
 """Interface of the solver adapters, and the forms of a program that several libraries take."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Protocol, runtime_checkable
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
+from dynamics.callbacks import call, is_own
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
 
 Vector = Float[Array, " m"]
@@ -76,7 +78,9 @@ class SolverAdapter:
             return f"{self.name} cannot take {missing} cones"
         if problem.P is not None and not self.takes_quadratic_cost:
             return f"{self.name} cannot take a quadratic cost"
-        reason = self.unsupported_reason(problem)
+        name = f"SolverAdapter.unsupported_reason of {self.name}"
+        ask, is_trusted = self.unsupported_reason, not is_own(self.unsupported_reason)
+        reason = ask(problem) if is_trusted else call(name, ask, deepcopy(problem))
         return f"{self.name} {reason}" if reason else ""
 
     def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:

@@ -59,7 +59,7 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
         raise InputError("plant", f"{name} must be a dynamics.Orbit, got {type(orbit).__name__}")
 
 
-def _check_model(model: Model, step: float, times: Any) -> None:
+def _check_model(model: Any, step: float, times: Any) -> None:
     check_axes(model)
     linear = LinearizedModel(model) if isinstance(model, NonlinearModel) else model
     assert isinstance(linear, LinearModel)
@@ -67,18 +67,18 @@ def _check_model(model: Model, step: float, times: Any) -> None:
     (A, B, z), here = linear.matrices(times), (linear.A(0.0), linear.B(0.0), linear.z(0.0))
     is_velocity = np.allclose(A[:, :d], np.eye(d, 2 * d, d), 0, ROUNDING)
     if not is_velocity or max(np.abs(B[:, :d]).max(), np.abs(z[:, :d]).max()) > ROUNDING:
-        reason = "the rate of the position must be the velocity, and no control; a model with "
-        cure = "position alone is none; a velocity loop, v̇ = (u − v)/τ with τ above the step, would do"
-        raise InputError("", f"{name}: {reason}{cure}")
+        reason = "the rate of the position must be the velocity, without control; a model with"
+        cure = "position alone is none; v̇ = (u − v)/τ, with τ of a step or more, would do"
+        raise InputError("", f"{name}: {reason} {cure}")
     for part, first, all_ in zip("ABz", here, (A, B, z), strict=True):
         if linear.is_time_invariant and not np.allclose(all_, first, ROUNDING, ROUNDING):
             reason = f"{part} changes with time; is_time_invariant = False would do"
             raise InputError("", f"{name}.is_time_invariant is True, and {reason}")
     fastest, h = float(np.abs(np.linalg.eigvals(A)).max()), step / ceil(step)
     if fastest * h > 1:
-        reason = f"moves at rates up to {fastest:.3g} 1/s, in a time of {1 / fastest:.3g} s, and a"
-        held = f"control is held for {step:g} s"
-        raise InputError("", f"{name} {reason} {held}; plan.step_s = {round_down(1 / fastest)} would do")
+        reason = f"changes at {fastest:.3g} 1/s, in a time of {1 / fastest:.3g} s, and a control"
+        cure = f"plan.step_s = {round_down(1 / fastest)} would do"
+        raise InputError("", f"{name} {reason} is held for {step:g} s; {cure}")
 
 
 def check_authority(name: str, model: DiscreteModel) -> None:

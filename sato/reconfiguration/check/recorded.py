@@ -264,7 +264,8 @@ class ReconfigurationRecord(
     def pieces_per_step(self) -> int:
         """Cubic pieces per step: one where a cubic is exact, else at most a second each.
 
-        A quarter of the shortest time constant of the model at most, and an even number where the interpolation error is measured instead of bounded.
+        At most a quarter of the shortest time constant of the model each, and an even number
+        where the interpolation error is measured instead of bounded.
         """
         step = self.mission.step
         model = self._time_invariant_model
