@@ -1,7 +1,7 @@
 """Models: equations of motion that planning and plants share."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from typing import Any, ClassVar
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.callbacks import Callback, CallbackError, as_shape, call, check_result, guard
+from dynamics.callbacks import Callback, CallbackError, as_kind, as_shape, call, guard
 from dynamics.inputs import InputError
 from dynamics.symbols import Number, Numbers, is_symbolic, make_function, to_array, to_casadi, trace
 
@@ -75,59 +75,39 @@ def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
     return take
 
 
-def _check_array(*axes: str) -> Callable[[Model, dict[str, Any], Any], Array]:
-    """Make the check of a result of one time: "n" for states, "m" for controls."""
-
-    def check(model: Model, given: dict[str, Any], value: Any) -> Array:
-        return as_shape(value, tuple(2 * model.axes if n == "n" else model.axes for n in axes))
-
-    return check
+def _as_matrix(model: Model, value: Any, *axes: str) -> Array:
+    return as_shape(value, tuple({"n": 2 * model.axes, "m": model.axes}[axis] for axis in axes))
 
 
-def _check_rate(model: Model, given: dict[str, Any], value: Any) -> Array:
-    (rate,) = _check_stacks(given, [value], [(2 * model.axes,)], can_stretch=False)
-    return rate
-
-
-def _check_jacobian(model: Model, given: dict[str, Any], value: Any) -> tuple[Array, ...]:
-    n, m = 2 * model.axes, model.axes
-    return _check_stacks(given, value, [(n, n), (n, m)])
-
-
-def _check_matrices(model: Model, given: dict[str, Any], value: Any) -> tuple[Array, ...]:
-    n, m = 2 * model.axes, model.axes
-    return _check_stacks(given, value, [(n, n), (n, m), (n,)])
-
-
-def _check_stacks(
-    given: dict[str, Any], values: Any, shapes: Sequence[tuple[int, ...]], can_stretch: bool = True
-) -> tuple[Array, ...]:
-    """Convert results for one instant, or for as many as there are times, states and controls."""
+def _as_stacks(given: dict[str, Any], values: Any, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
+    """Convert results at all times, states and controls; several of them may lack these axes."""
     x, u = (given.get(name, np.zeros(1)) for name in "xu")
     times: Any = given.get("times", given.get("t"))
-    lead = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1])
-    if not isinstance(values, tuple | list) or len(values) != len(shapes):
-        got = (
-            f"{len(values)} of them" if isinstance(values, tuple | list) else type(values).__name__
-        )
-        raise InputError("", f"must be {len(shapes)} arrays, got {got}")
+    lead, count = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1]), len(shapes)
+    if len(as_kind(values, tuple | list, f"{count} arrays")) != count:
+        raise InputError("", f"must be {count} arrays, got {len(values)}")
     try:
         each = zip(values, shapes, strict=True)
-        return tuple(as_shape(value, (*lead, *shape), can_stretch) for value, shape in each)
+        return tuple(as_shape(value, lead + shape, count > 1) for value, shape in each)
     except InputError as error:
         if "x" not in given or np.any(x) or np.any(u):
             raise
-        why = "here at rest, x = 0 and u = 0, about which it is linearized for prices"
+        why = "here at rest, x = 0 and u = 0, about which models are linearized"
         raise InputError("", f"{error}; {why}") from error
 
 
+def _as_jacobian(model: Model, given: dict[str, Any], value: Any, *more: Any) -> tuple[Array, ...]:
+    n, m = 2 * model.axes, model.axes
+    return _as_stacks(given, value, (n, n), (n, m), *more)
+
+
 _CALLBACKS = {
-    "A": Callback(("t",), _check_array("n", "n")),
-    "B": Callback(("t",), _check_array("n", "m")),
-    "z": Callback(("t",), _check_array("n")),
-    "matrices": Callback(("times",), _check_matrices),
-    "rate": Callback(("t", "x", "u"), _check_rate),
-    "jacobian": Callback(("t", "x", "u"), _check_jacobian),
+    "A": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "n")),
+    "B": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "m")),
+    "z": Callback("t", lambda model, given, value: _as_matrix(model, value, "n")),
+    "matrices": Callback("times", lambda *each: _as_jacobian(*each, (2 * each[0].axes,))),
+    "rate": Callback("t x u", lambda m, given, value: _as_stacks(given, [value], (2 * m.axes,))[0]),
+    "jacobian": Callback("t x u", _as_jacobian),
 }
 
 
@@ -266,7 +246,7 @@ class SymbolicModel(NonlinearModel):
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             found.append(stacked.reshape(*lead, *stacked.shape[1:]))
             if matrix.dtype != object and not np.isfinite(matrix).all():
-                check_result(self._name, _check_stacks, given, found[-1:], [stacked.shape[1:]])
+                call(self._name, _as_stacks, given, found[-1:], stacked.shape[1:])
         return found
 
     @cached_property

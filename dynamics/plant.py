@@ -59,31 +59,25 @@ class Plant(ABC):
         return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
-def _check_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
+def _as_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
     x, shape = given["x"], (given.get("substeps", 1) + 1, *given["x"].shape)
     absent = ~is_present(x)
-    if isinstance(value, list | tuple) and all(isinstance(part, Array) for part in value):
-        value = np.array(value) if len({part.shape for part in value}) == 1 else value
+    if isinstance(value, list) and all(isinstance(part, Array) for part in value):
+        value = np.array(value) if {part.shape for part in value} == {x.shape} else value
     if isinstance(value, Array) and value.shape == shape and value.dtype.kind == "f":
         value = np.where(absent[:, None], 0.0, value)  # rows of absent agents may be anything
     states = as_shape(value, shape)
-    if not np.allclose(states[0, ~absent], x[~absent], ROUNDING, ROUNDING):
-        i = int(
-            np.flatnonzero(~np.isclose(states[0], x, ROUNDING, ROUNDING).all(axis=1) & ~absent)[0]
-        )
-        begins = f"{states[0, i].tolist()} for {x[i].tolist()} of agent {i}"
-        raise InputError("", f"must begin with the given states, got {begins}")
+    for i in np.flatnonzero(~absent):
+        if not np.allclose(states[0, i], x[i], ROUNDING, ROUNDING):
+            begins = f"{states[0, i].tolist()} for {x[i].tolist()} of agent {i}"
+            raise InputError("", f"must begin with the given states, got {begins}")
     states[0], states[:, absent] = x, np.nan
     return states
 
 
-def _check_elements(plant: Plant, given: dict[str, Any], value: Any) -> Array | None:
-    return None if value is None else as_shape(value, (6,))
-
-
 _CALLBACKS = {
-    "propagate": Callback(("x", "u", "t", "dt", "substeps"), _check_states),
-    "chief_elements": Callback(("t",), _check_elements),
+    "propagate": Callback("x u t dt substeps", _as_states),
+    "chief_elements": Callback("t", lambda p, given, v: None if v is None else as_shape(v, (6,))),
 }
 
 

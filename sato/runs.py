@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dynamics.callbacks import CallbackError, call, is_own, strictly
+from dynamics.callbacks import CallbackError, is_own, strictly
 from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
@@ -206,13 +206,10 @@ def run(
             system = as_processes(system, mission, int(seed), processes, port, speed, *own)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
-        watcher = flight_frames.Watcher(progress) if callable(progress) else None
-        callback = watcher or (lambda mission, frame: None)
+        callback: FrameCallback = progress if callable(progress) else (lambda mission, frame: None)
         bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
-        with bar as callback:
+        with flight_frames.watching(callback) if is_own(callback) else bar as callback:
             frames, stopped = _collect_frames(system, drawn, rng, callback, strict)
-        if watcher is not None:
-            watcher.close()
         data = record.collect_run_data(
             system,
             frames,
@@ -288,15 +285,9 @@ def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, A
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:
         mission = scenario
-    rng, name = np.random.default_rng(seed), f"{type(mission).__name__}.draw"
+    rng = np.random.default_rng(seed)
     try:
-        if not is_own(type(mission)):
-            return mission, mission.draw(rng), rng
-        drawn = call(name, mission.draw, rng, passes=(InputError,))
-        if not isinstance(drawn, type(mission)):
-            reason = f"must be a {type(mission).__name__}, got {type(drawn).__name__}"
-            raise CallbackError("", f"{name}: the result {reason}")
-        return mission, drawn, rng
+        return mission, mission.draw(rng), rng
     except InputError as error:
         if isinstance(scenario, str | Path):
             raise ScenarioError(f"{scenario}: {error}") from error

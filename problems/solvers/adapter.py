@@ -13,6 +13,7 @@ from scipy.sparse import csc_matrix
 
 from dynamics.callbacks import call, is_own
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
+from problems.solvers.own import OwnSession
 
 Vector = Float[Array, " m"]
 LP: frozenset[ConeType] = frozenset({"linear"})
@@ -78,9 +79,8 @@ class SolverAdapter:
             return f"{self.name} cannot take {missing} cones"
         if problem.P is not None and not self.takes_quadratic_cost:
             return f"{self.name} cannot take a quadratic cost"
-        name = f"SolverAdapter.unsupported_reason of {self.name}"
-        ask, is_trusted = self.unsupported_reason, not is_own(self.unsupported_reason)
-        reason = ask(problem) if is_trusted else call(name, ask, deepcopy(problem))
+        name, ask = f"{self.name}.unsupported_reason", self.unsupported_reason
+        reason = call(name, ask, deepcopy(problem)) if is_own(ask) else ask(problem)
         return f"{self.name} {reason}" if reason else ""
 
     def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
@@ -94,6 +94,12 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         self.require(problem)
+        return self.set_up(problem, tolerance)
+
+    def set_up(self, problem: ConicProgram, tolerance: float) -> SolverSession:
+        """Set the solver up for a program that it can take."""
+        if is_own(self.session_factory):
+            return OwnSession(self.session_factory, problem, tolerance)
         return self.session_factory(problem, tolerance)
 
     def require(self, problem: ConicProgram) -> None:

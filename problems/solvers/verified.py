@@ -2,20 +2,14 @@
 
 import warnings
 from collections.abc import Callable
-from copy import deepcopy
-from typing import Any, get_args
 
-import numpy as np
-
-from dynamics.callbacks import CallbackError, as_shape, call, check_result, is_own, is_strict
-from dynamics.inputs import InputError
+from dynamics.callbacks import CallbackError, is_strict
 from problems.conic import (
     TOLERANCE,
     ConicProgram,
     ConicSolution,
     Infeasible,
     SolverResult,
-    Status,
     Unsolved,
     Verification,
     verify,
@@ -41,19 +35,18 @@ class VerifiedSolver:
         self,
         name: str = DEFAULT_SOLVER,
         tolerance: float = TOLERANCE,
-        told: list[str] | None = None,
+        errors: list[str] | None = None,
     ) -> None:
         """Choose a solver, and the tolerance of its answers: residuals and gap, relative.
 
-        Solvers that share a list of what was told warn of the first failure of all alone.
+        Of solvers that share a list of errors, the first error of all is warned of.
         """
-        self._told = [] if told is None else told
+        self._errors = [] if errors is None else errors  # of solvers of the user's own
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None
         self.fallback_count = 0  # programs that were given to the default solver
         self.last_rejection = ""  # reason of the last of them
-        self.error_count = 0  # programs on which a solver of the user's own failed
-        self.last_error = ""  # its last failure
+        self.error_count = 0  # those on which a solver of the user's own failed itself
 
     def __call__(self, problem: ConicProgram) -> ConicSolution:
         """Solve a program.
@@ -94,8 +87,8 @@ class VerifiedSolver:
 
         Where the solver calls a program infeasible without a certificate, or never gives one, it
         is asked for the least violation too, whose duals are one; the default solver wherever it
-        fails. An exception of a library is a failure, with the message as its reason; that of a
-        solver of the user's own is counted too, and the first is warned of.
+        fails. An exception of a library is a failure, with the message as its reason; so is that
+        of a solver of the user's own, which is counted too.
 
         Raises:
             ValueError: The solver is not installed, or cannot take the program.
@@ -105,8 +98,7 @@ class VerifiedSolver:
         if not (is_open or self.is_default):
             self._last = None
             adapter.require(problem)
-        errors = self.error_count
-        result = self._ask(lambda: self._solve(adapter, problem))
+        errors, result = self.error_count, self._ask(lambda: self._solve(adapter, problem))
         found = verify(problem, result, self._tolerance)
         if found.kind in ("solved", "infeasible"):
             return found
@@ -121,8 +113,8 @@ class VerifiedSolver:
         if self.is_default:
             return solve_clarabel(problem)
         if self._last is None:
-            self._last = problem, _open(adapter, problem, ASKED * self._tolerance)
-        return _solve_by(adapter, self._last[1], problem)
+            self._last = problem, adapter.set_up(problem, ASKED * self._tolerance)
+        return self._last[1].solve(problem.b)
 
     def _ask(self, solve: Callable[[], SolverResult]) -> SolverResult:
         """Return the result of a solve; an exception of the library is its message."""
@@ -131,14 +123,13 @@ class VerifiedSolver:
         except MemoryError:
             raise
         except CallbackError as error:
-            if is_strict():
+            if is_strict.get():
                 raise
-            if not self._told:
-                self._told.append(str(error))
+            if not self._errors:
                 text = "the default solver answers in its place, and failures are counted"
                 warnings.warn(f"{error}; {text}", stacklevel=2)
+            self._errors.append(str(error))
             self.error_count += 1
-            self.last_error = str(error)
             return SolverResult("stopped", str(error))
         except Exception as error:  # libraries raise what they like
             return SolverResult("stopped", f"{type(error).__name__}: {error}")
@@ -150,62 +141,13 @@ class VerifiedSolver:
         relaxed = relax_cones(problem)
         if adapter.refusal(relaxed):
             return found
-        tolerance = ASKED * TOLERANCE
-        result = self._ask(lambda: _solve_by(adapter, _open(adapter, relaxed, tolerance), relaxed))
+        result = self._ask(lambda: adapter.set_up(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
         if result.y is None:
             return found
         ray, objection = verify_ray(problem, read_ray(problem, result.y))
         if objection:
             return found._replace(reason=f"{found.reason}; of the least violation, {objection}")
         return Verification("infeasible", None, "by the duals of the least violation", ray)
-
-
-def _open(adapter: SolverAdapter, problem: ConicProgram, tolerance: float) -> Any:
-    """Open a session; one of the user's own gets a program that nobody else has."""
-    factory = adapter.session_factory
-    if not is_own(factory):
-        return factory(problem, tolerance)
-    name = getattr(factory, "__qualname__", adapter.name)
-    session = call(name, factory, deepcopy(problem), tolerance)
-    if not callable(getattr(session, "solve", None)):
-        got = type(session).__name__
-        raise CallbackError("", f"{name}: a session needs a method solve(b), got {got}")
-    return session
-
-
-def _solve_by(adapter: SolverAdapter, session: Any, problem: ConicProgram) -> SolverResult:
-    if not is_own(adapter.session_factory):
-        result: SolverResult = session.solve(problem.b)
-        return result
-    name = f"{type(session).__name__}.solve"
-    found = call(name, session.solve, problem.b)
-    answer: SolverResult = check_result(name, _check_answer, found, problem)
-    return answer
-
-
-def _check_answer(found: Any, problem: ConicProgram) -> SolverResult:
-    """Convert what a solver of the user's own returns.
-
-    Raises:
-        InputError: It is no result of this program.
-    """
-    would_do = 'SolverResult("solved", message, x, y, iterations) would do'
-    if not isinstance(found, tuple) or not 2 <= len(found) <= len(SolverResult._fields):
-        raise InputError("", f"must be a SolverResult, got {type(found).__name__}; {would_do}")
-    said, message, *numbers = found
-    status: Status | None = next(
-        (s for s in get_args(Status) if isinstance(said, str) and s == said), None
-    )
-    if status is None:
-        raise InputError("", f"must have one of the states {get_args(Status)}, got {said!r}")
-    arrays = []
-    for part, size in zip(numbers, (len(problem.q), len(problem.b)), strict=False):
-        arrays.append(None if part is None else as_shape(part, (size,)))
-    count = numbers[2] if len(numbers) > 2 else None
-    if not (count is None or isinstance(count, int | float | np.number)):
-        raise InputError("", f"must have a number of iterations or None, got {count!r}; {would_do}")
-    x, y = (*arrays, None, None)[:2]
-    return SolverResult(status, str(message), x, y, None if count is None else int(count))
 
 
 solve_program = VerifiedSolver()

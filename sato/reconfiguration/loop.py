@@ -91,8 +91,9 @@ class _Flight:
             everyone = list(range(len(m)))
             self.events.append({"kind": "clocks", "agents": everyone, "steps": steps})
         tolerance = mission.tolerance or TOLERANCE
-        told = list[str]()  # of failures, of which the first is warned of
-        self.solvers = [VerifiedSolver(mission.solver, tolerance, told) for _ in m]  # its own each
+        self.errors = list[str]()  # of solvers of the user's own
+        chosen = mission.solver, tolerance, self.errors
+        self.solvers = [VerifiedSolver(*chosen) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
         self.loads = [Load.none(len(m)) for _ in PURPOSES]  # at this instant
         self.received = np.zeros((2, len(m), len(PURPOSES)), dtype=np.int64)  # until now
@@ -264,7 +265,8 @@ class _Flight:
         return decisions + [(graph.subgraph(some), bid) for some, bid in parts if some.any()]
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
-        solves, before = 0, self._count_failures()
+        solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
+        errors, error_count = np.array([own.error_count for own in self.solvers]), len(self.errors)
         memory, blocked = context.memory, None
         auction = Load.none(len(self.x))
         was_reset = np.zeros(len(self.x), dtype=bool)
@@ -289,22 +291,21 @@ class _Flight:
             found = commit_in_orbit(context, planned, self.committed, self.plans, heard)
         if found.cautious:
             events.append({"kind": "cautious", "agents": found.cautious})
-        failures = self._count_failures() - before
-        for kind, counts in zip(("fallback", "solver_error"), failures.T, strict=True):
+        rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
+        failed = np.array([own.error_count for own in self.solvers]) - errors
+        reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
+        counted = (
+            ("fallback", rejected, reasons),
+            ("solver_error", failed, self.errors[error_count:]),
+        )
+        for kind, counts, said in counted:
             if counts.any():
-                which, is_error = np.flatnonzero(counts).tolist(), kind == "solver_error"
-                failed = [self.solvers[i] for i in which]
-                reasons = {own.last_error if is_error else own.last_rejection for own in failed}
-                more = {"programs": int(counts.sum()), "reasons": sorted(reasons)}
-                events.append({"kind": kind, "agents": which, **more})
+                more = {"programs": int(counts.sum()), "reasons": sorted(set(said))}
+                events.append({"kind": kind, "agents": np.flatnonzero(counts).tolist(), **more})
         made = found.plans, found.committed, events, was_reset, blocked
         loads = auction, exchange, found.load
         self.loads[1:] = [a.plus(b) for a, b in zip(self.loads[1:], loads, strict=True)]
         return Outcome(context.graph.alive, memory, *made, loads, waits=found.waits)
-
-    def _count_failures(self) -> Array:
-        """Count the programs of each agent that its solver failed on, and those with an error."""
-        return np.array([(own.fallback_count, own.error_count) for own in self.solvers])
 
     def _take_up(self, outcome: Outcome) -> None:
         """Let agents take up what they have decided."""
