@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from typing import Any
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy import ndarray as Array
@@ -13,8 +13,6 @@ from numpy.random import Generator
 from dynamics.callbacks import CallbackError, as_kind, call, is_own, is_strict
 from dynamics.inputs import InputError
 from sato.interfaces import System
-
-FIELDS = {"time": 0, "position": 2, "velocity": 2, "alive": 1, "component": 1}  # axes of each
 
 
 def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]:
@@ -49,16 +47,23 @@ def protect(frame: Any) -> Any:
 
 
 def _check_frame(kind: type, frame: Any, shapes: dict[str, tuple[int, ...]]) -> Any:
-    """Refuse what is no frame of a kind, or has fields of other shapes than those before."""
+    """Refuse what is no frame of a kind, as it declares it, or changes the shape of a field."""
     as_kind(frame, kind, f"a {kind.__name__}")
-    for name, axes in FIELDS.items():
-        value = np.asarray(getattr(frame, name))
-        if value.ndim != axes or value.dtype.kind not in "biuf":
-            got = f"{value.dtype} of shape {value.shape}"
-            raise InputError("", f"must have a field {name} of numbers, of {axes} axes, got {got}")
-        if (shape := shapes.setdefault(name, value.shape)) != value.shape:
-            raise InputError("", f"must keep the shape {shape} of {name}, got {value.shape}")
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        value, declared = getattr(frame, name), get_args(hint)[0]
+        if get_origin(hint) is Annotated and not isinstance(value, _with_numpy(declared)):
+            got = type(value).__name__
+            got = f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else got
+            raise InputError("", f"must have a field {name} of {declared}, got {got}")
+        if isinstance(value, Array) and shapes.setdefault(name, value.shape) != value.shape:
+            raise InputError("", f"must keep the shape {shapes[name]} of {name}, got {value.shape}")
+    if not np.isfinite(frame.time) or not all(isinstance(each, dict) for each in frame.events):
+        raise InputError("", f"must have a finite time and dicts as events, got {frame.time!r}")
     return frame
+
+
+def _with_numpy(declared: Any) -> Any:
+    return int | float | np.number if declared in (int, float) else declared
 
 
 @contextmanager
@@ -72,7 +77,7 @@ def watching(callback: Callable[[Any, Any], object]) -> Iterator[Callable[[Any, 
     def watch(mission: Any, frame: Any) -> None:
         nonlocal count
         try:
-            call(name, callback, mission, frame._replace(events=deepcopy(frame.events)))
+            call(name, callback, mission, protect(frame))
         except CallbackError as error:
             if is_strict.get():
                 raise

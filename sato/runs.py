@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dynamics.callbacks import CallbackError, is_own, strictly
+from dynamics.callbacks import CallbackError, is_own, is_strict, strictly
 from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
@@ -302,6 +302,8 @@ def _add_check_results(run: Run) -> Run:
     except KeyboardInterrupt:
         pass
     except Exception as error:
+        if is_strict.get():
+            raise
         summary["check_failed"] = f"{type(error).__name__}: {error}"
         warnings.warn(f"the run could not be checked: {error}", stacklevel=3)
     else:

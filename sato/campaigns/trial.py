@@ -136,7 +136,8 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
     outcome |= {"exit": judge(flown.summary), "error": _reason(flown.summary)}
     outcome["summary"] = flatten(flown.summary)
     if trial.columns:
-        outcome["columns"] = more_columns(trial.columns, flown)
+        theirs = replace(flown, summary=deepcopy(flown.summary))
+        outcome["columns"] = more_columns(trial.columns, theirs)
     if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
         try:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
@@ -208,8 +209,7 @@ def _reason(summary: Mapping[str, Any]) -> str | None:
 def more_columns(function: str, flown: Any) -> Outcome:
     """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
-        theirs = replace(flown, summary=deepcopy(flown.summary))
-        return cast(Outcome, call(function, find_function(function), theirs, check=_as_columns))
+        return cast(Outcome, call(function, find_function(function), flown, check=_as_columns))
     except (Exception, SystemExit):  # whatever a function of the user's raises
         return {"columns_error": last_lines()}
 
