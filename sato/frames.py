@@ -14,6 +14,7 @@ from dynamics.callbacks import CallbackError, as_kind, call, is_own, is_strict
 from dynamics.inputs import InputError
 from sato.interfaces import System
 
+END = object()  # after the last frame
 
 def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]:
     """Fly a drawn mission, and yield frames whose arrays cannot be written to.
@@ -30,10 +31,10 @@ def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]
     shapes: dict[str, tuple[int, ...]] = {}
 
     def check(frame: Any) -> Any:
-        return None if frame is None else _check_frame(system.frame, frame, shapes)
+        return frame if frame is END else _check_frame(system.frame, frame, shapes)
 
     frames = call(name, lambda: iter(simulate(mission, rng)), passes=passes)
-    while (frame := call(name, next, frames, None, passes=passes, check=check)) is not None:
+    while (frame := call(name, next, frames, END, passes=passes, check=check)) is not END:
         yield protect(frame)
 
 

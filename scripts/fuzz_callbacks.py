@@ -26,7 +26,7 @@ from numpy.random import Generator
 
 import sato
 from dynamics.inputs import InputError
-from problems import SolverAdapter, SolverResult, load_adapters
+from problems import SolverAdapter, load_adapters
 from sato.campaigns import trial as trials
 from sato.connectivity.stick import WaypointStick
 from sato.shapes import Points
@@ -80,7 +80,7 @@ def keep_buffer(rng: Generator, arguments: list[Any], result: Any, memory: dict)
 OTHERS: tuple[Callable[[Any], Any], ...] = (
     lambda result: None,
     lambda result: "nothing",
-    lambda result: {},
+    lambda result: {3},
     lambda result: (part for part in range(3)),
     lambda result: object(),
     lambda result: 10**400,
