@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, CallbackError, as_kind, as_shape, call, guard
+from dynamics.inputs import InputError
 from dynamics.symbols import Number, Numbers, is_symbolic, make_function, to_array, to_casadi, trace
 
 # One instant, or many: the leading axes of times, states and controls broadcast.
@@ -30,10 +32,11 @@ class Model(ABC):
     axes: int  # dimension d of space: the state has 2d entries, the control d
 
     def __init_subclass__(cls) -> None:
-        """Let the rate of every model take CasADi symbols."""
+        """Let the rate of every model take CasADi symbols, and check methods of the user's own."""
         if "rate" in cls.__dict__:
             # A decorator for all subclasses, which none can forget.
             cls.rate = _take_symbols(cls.rate)  # type: ignore[method-assign]
+        guard(cls, _CALLBACKS)
 
     @abstractmethod
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
@@ -70,6 +73,42 @@ def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
         return rate(self, t, x, u)
 
     return take
+
+
+def _as_matrix(model: Model, value: Any, *axes: str) -> Array:
+    return as_shape(value, tuple({"n": 2 * model.axes, "m": model.axes}[axis] for axis in axes))
+
+
+def _as_stacks(given: dict[str, Any], values: Any, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
+    """Convert results at all times, states and controls; several of them may lack these axes."""
+    x, u = (given.get(name, np.zeros(1)) for name in "xu")
+    times: Any = given.get("times", given.get("t"))
+    lead, count = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1]), len(shapes)
+    if len(as_kind(values, tuple | list, f"{count} arrays")) != count:
+        raise InputError("", f"must be {count} arrays, got {len(values)}")
+    try:
+        each = zip(values, shapes, strict=True)
+        return tuple(as_shape(value, lead + shape, count > 1) for value, shape in each)
+    except InputError as error:
+        if "x" not in given or np.any(x) or np.any(u):
+            raise
+        why = "here at rest, x = 0 and u = 0, about which models are linearized"
+        raise InputError("", f"{error}; {why}") from error
+
+
+def _as_jacobian(model: Model, given: dict[str, Any], value: Any, *more: Any) -> tuple[Array, ...]:
+    n, m = 2 * model.axes, model.axes
+    return _as_stacks(given, value, (n, n), (n, m), *more)
+
+
+_CALLBACKS = {
+    "A": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "n")),
+    "B": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "m")),
+    "z": Callback("t", lambda model, given, value: _as_matrix(model, value, "n")),
+    "matrices": Callback("times", lambda *each: _as_jacobian(*each, (2 * each[0].axes,))),
+    "rate": Callback("t x u", lambda m, given, value: _as_stacks(given, [value], (2 * m.axes,))[0]),
+    "jacobian": Callback("t x u", _as_jacobian),
+}
 
 
 class NonlinearModel(Model):
@@ -170,10 +209,35 @@ class SymbolicModel(NonlinearModel):
         """Return the expression as a `casadi.Function` of t, x and u, with the output rate."""
         return self._functions[0]
 
+    @property
+    def _name(self) -> str:
+        name = getattr(self.expression, "__name__", type(self.expression).__name__)
+        return f"SymbolicModel.expression {name}"
+
+    def _trace(self, t: Any, x: Any, u: Any) -> Any:
+        """Return the expression as a column of CasADi; an acceleration alone is none."""
+        import casadi
+
+        found, n = call(self._name, self.expression, t, x, u), 2 * self.axes
+        if isinstance(found, list | tuple | Array):
+            found = call(self._name, casadi.vertcat, *found)
+        shape = getattr(found, "shape", None)
+        if not is_symbolic(found) or shape != (n, 1):
+            got = f"{type(found).__name__}" + (f" of shape {shape}" if shape else "")
+            would_do = (
+                "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
+            )
+            raise CallbackError(
+                "",
+                f"{self._name}: the result must be a column of {n} entries, got {got}; {would_do}",
+            )
+        return found
+
     def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
         # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
         count, columns, found = int(np.prod(lead)), [], []
+        given: dict[str, Any] = {"t": t, "x": x, "u": u}
         for values in (np.asarray(t)[..., None], x, u):
             n = values.shape[-1]
             columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
@@ -181,13 +245,19 @@ class SymbolicModel(NonlinearModel):
             matrix = to_array(result)
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             found.append(stacked.reshape(*lead, *stacked.shape[1:]))
+            if matrix.dtype != object and not np.isfinite(matrix).all():
+                call(self._name, _as_stacks, given, found[-1:], stacked.shape[1:])
         return found
 
     @cached_property
     def _functions(self) -> tuple[Any, Any]:
         import casadi
 
-        rate = make_function(self.expression, self.axes)
+        try:
+            rate = make_function(self._trace, self.axes)
+        except RuntimeError as error:  # of CasADi
+            what = "takes symbols that are none of t, x and u, or are not SX as these are"
+            raise CallbackError("", f"{self._name} {what}") from error
         t, x, u = rate.sx_in()
         f = rate(t, x, u)
         derivatives = [casadi.jacobian(f, x), casadi.jacobian(f, u)]

@@ -2,13 +2,16 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, as_shape, guard
 from dynamics.discretize import discretize_zoh
+from dynamics.inputs import InputError
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
 from dynamics.orbit import Orbit
 
@@ -16,6 +19,7 @@ Samples = Float[Array, "{substeps}+1 agents n"]
 
 RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
 ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
+ROUNDING = 1e-9  # of the first states of a user's own plant, relative and in SI units
 
 
 class Plant(ABC):
@@ -26,6 +30,10 @@ class Plant(ABC):
     """
 
     chief_orbit: Orbit | None = None  # None where there is no orbit
+
+    def __init_subclass__(cls) -> None:
+        """Check methods of the user's own."""
+        guard(cls, _CALLBACKS)
 
     @abstractmethod
     def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
@@ -49,6 +57,28 @@ class Plant(ABC):
             t: Time [s].
         """
         return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
+
+
+def _as_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
+    x, shape = given["x"], (given.get("substeps", 1) + 1, *given["x"].shape)
+    absent = ~is_present(x)
+    if isinstance(value, list) and all(isinstance(part, Array) for part in value):
+        value = np.array(value) if {part.shape for part in value} == {x.shape} else value
+    if isinstance(value, Array) and value.shape == shape and value.dtype.kind == "f":
+        value = np.where(absent[:, None], 0.0, value)  # rows of absent agents may be anything
+    states = as_shape(value, shape)
+    for i in np.flatnonzero(~absent):
+        if not np.allclose(states[0, i], x[i], ROUNDING, ROUNDING):
+            begins = f"{states[0, i].tolist()} for {x[i].tolist()} of agent {i}"
+            raise InputError("", f"must begin with the given states, got {begins}")
+    states[0], states[:, absent] = x, np.nan
+    return states
+
+
+_CALLBACKS = {
+    "propagate": Callback("x u t dt substeps", _as_states),
+    "chief_elements": Callback("t", lambda p, given, v: None if v is None else as_shape(v, (6,))),
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,13 +32,17 @@ class Variable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """Variables of a run by name, and its attributes."""
+    """Variables of a run by name, whose arrays cannot be written to, and its attributes."""
 
     variables: Mapping[str, Variable]
     attrs: Mapping[str, Any]
 
     def __post_init__(self) -> None:
-        """Refuse variables of which one has another size along a dimension than another."""
+        """Protect the arrays; refuse variables that differ in size along a dimension."""
+        views = {name: v._replace(values=v.values.view()) for name, v in self.variables.items()}
+        for variable in views.values():
+            variable.values.flags.writeable = False
+        object.__setattr__(self, "variables", views)
         sizes: dict[str, int] = {}
         for name, (dims, values, _) in self.variables.items():
             for dim, size in zip(dims, values.shape, strict=True):

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
+from dynamics.callbacks import CallbackError, is_own, is_strict, strictly
+from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Promise, Report, Verdict
@@ -105,6 +107,8 @@ class Run:
         except record.RunFileError as error:
             return Report((Promise("file", False, 1.0, 0.0, str(error)),), {})
         except Exception as error:
+            if is_strict.get():
+                raise
             return Report((), {}, failure=f"{type(error).__name__}: {error}")
 
     @cached_property
@@ -194,6 +198,7 @@ def run(
     seed: int = 0,
     overrides: Iterable[str] = (),
     progress: bool | FrameCallback | None = None,
+    strict: bool = False,
     processes: Literal["lock-step", "free-running"] | None = None,
     port: int | None = None,
     speed: float = 1.0,
@@ -211,6 +216,9 @@ def run(
         overrides: Each "table.key=value"; not with a mission.
         progress: True shows a progress bar; a function is called with the drawn mission and
             each frame.
+        strict: Raise exceptions of functions of your own as they are: of models, plants, solvers,
+            systems and `progress`. By default those of a model, a plant or a system end the flight,
+            and those of a solver or of `progress` are counted; the first is shown.
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
         port: Port of the loopback interface by which processes talk; any that is free by default.
@@ -222,7 +230,7 @@ def run(
     began = perf_counter()
     overrides = overrides if isinstance(overrides, str) else tuple(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"), strictly(strict):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:
@@ -232,10 +240,10 @@ def run(
             system = as_processes(system, mission, int(seed), processes, port, speed, *own)
         for sentence in drawn.warnings():
             warnings.warn(sentence, stacklevel=2)
-        callback = progress if callable(progress) else (lambda mission, frame: None)
+        callback: FrameCallback = progress if callable(progress) else (lambda mission, frame: None)
         bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
-        with bar as callback:
-            frames, stopped = _collect_frames(system, drawn, rng, callback)
+        with flight_frames.watching(callback) if is_own(callback) else bar as callback:
+            frames, stopped = _collect_frames(system, drawn, rng, callback, strict)
         data = record.collect_run_data(
             system,
             frames,
@@ -265,7 +273,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
         ValueError: The scenario cannot be flown.
     """
     mission, drawn, rng = _draw(scenario, seed, overrides)
-    frames = load_system(mission.system).simulate(drawn, rng)
+    frames = flight_frames.fly(load_system(mission.system), drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
 
@@ -332,7 +340,11 @@ def _check_flown(run: Run) -> Run:
 
 
 def _collect_frames(
-    system: System[Any, Any], mission: Any, rng: Generator, callback: FrameCallback
+    system: System[Any, Any],
+    mission: Any,
+    rng: Generator,
+    callback: FrameCallback,
+    is_strict: bool = False,
 ) -> tuple[list[Any], str]:
     # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
     # waits for the next frame; a second one does not.
@@ -347,10 +359,11 @@ def _collect_frames(
 
     frames: list[Any] = []
     endings: tuple[type[BaseException], ...] = (KeyboardInterrupt, *system.stop_errors)
+    endings = endings if is_strict else (*endings, CallbackError)
     try:
         if is_deferred:
             signal.signal(signal.SIGINT, note)
-        for frame in system.simulate(mission, rng):
+        for frame in flight_frames.fly(system, mission, rng):
             frames.append(frame)
             callback(mission, frame)
             if interrupted.is_set():

@@ -364,7 +364,10 @@ def test_a_row_of_a_function_beside_the_file_is_computed_again(tmp_path, monkeyp
         ({"grid": {"side": [6]}}, r"grid\.side: .*toss missing .*; did you mean .sides.\?"),
         ({"grid": {"fails": [True]}}, r"campaign\.function: .*toss missing .* argument: 'sides'"),
         ({"function": "math:pi"}, r"campaign\.function: \"math:pi\" is no function"),
-        ({"function": "", "scenario": f"{__name__}:raise_at_once"}, "raises ZeroDivisionError: no"),
+        (
+            {"function": "", "scenario": f"{__name__}:raise_at_once"},
+            "raise_at_once raised ZeroDivisionError: no",
+        ),
     ],
 )
 def test_a_function_beside_what_only_runs_have_is_refused(changes, reason, tmp_path):

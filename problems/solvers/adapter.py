@@ -1,6 +1,7 @@
 """Interface of the solver adapters, and the forms of a program that several libraries take."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Protocol, runtime_checkable
@@ -10,7 +11,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
+from dynamics.callbacks import call, is_own
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
+from problems.solvers.own import OwnSession
 
 Vector = Float[Array, " m"]
 LP: frozenset[ConeType] = frozenset({"linear"})
@@ -76,7 +79,8 @@ class SolverAdapter:
             return f"{self.name} cannot take {missing} cones"
         if problem.P is not None and not self.takes_quadratic_cost:
             return f"{self.name} cannot take a quadratic cost"
-        reason = self.unsupported_reason(problem)
+        name, ask = f"{self.name}.unsupported_reason", self.unsupported_reason
+        reason = call(name, ask, deepcopy(problem)) if is_own(ask) else ask(problem)
         return f"{self.name} {reason}" if reason else ""
 
     def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
@@ -90,6 +94,12 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         self.require(problem)
+        return self.set_up(problem, tolerance)
+
+    def set_up(self, problem: ConicProgram, tolerance: float) -> SolverSession:
+        """Set the solver up for a program that it can take."""
+        if is_own(self.session_factory):
+            return OwnSession(self.session_factory, problem, tolerance)
         return self.session_factory(problem, tolerance)
 
     def require(self, problem: ConicProgram) -> None:

@@ -1,7 +1,9 @@
 """Solver of the user's choice, its answers verified, with the default solver behind it."""
 
+import warnings
 from collections.abc import Callable
 
+from dynamics.callbacks import CallbackError, is_strict
 from problems.conic import (
     TOLERANCE,
     ConicProgram,
@@ -29,12 +31,22 @@ class VerifiedSolver:
     decides alone has a solver of its own.
     """
 
-    def __init__(self, name: str = DEFAULT_SOLVER, tolerance: float = TOLERANCE) -> None:
-        """Choose a solver, and the tolerance of its answers: residuals and gap, relative."""
+    def __init__(
+        self,
+        name: str = DEFAULT_SOLVER,
+        tolerance: float = TOLERANCE,
+        errors: list[str] | None = None,
+    ) -> None:
+        """Choose a solver, and the tolerance of its answers: residuals and gap, relative.
+
+        Of solvers that share a list of errors, the first error of all is warned of.
+        """
+        self._errors = [] if errors is None else errors  # of solvers of the user's own
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None
         self.fallback_count = 0  # programs that were given to the default solver
         self.last_rejection = ""  # reason of the last of them
+        self.error_count = 0  # those on which a solver of the user's own failed itself
 
     def __call__(self, problem: ConicProgram) -> ConicSolution:
         """Solve a program.
@@ -75,7 +87,8 @@ class VerifiedSolver:
 
         Where the solver calls a program infeasible without a certificate, or never gives one, it
         is asked for the least violation too, whose duals are one; the default solver wherever it
-        fails. An exception of a library is a failure, with the message as its reason.
+        fails. An exception of a library is a failure, with the message as its reason; so is that
+        of a solver of the user's own, which is counted too.
 
         Raises:
             ValueError: The solver is not installed, or cannot take the program.
@@ -85,45 +98,56 @@ class VerifiedSolver:
         if not (is_open or self.is_default):
             self._last = None
             adapter.require(problem)
-        result = _ask(lambda: self._solve(adapter, problem))
+        errors, result = self.error_count, self._ask(lambda: self._solve(adapter, problem))
         found = verify(problem, result, self._tolerance)
         if found.kind in ("solved", "infeasible"):
             return found
         self._last = None  # no start for the next
+        if self.error_count > errors:
+            return found
         if found.kind == "unproven" or self.is_default or not adapter.certifies_infeasibility:
-            return _certify(adapter, problem, found)
+            return self._certify(adapter, problem, found)
         return found
 
     def _solve(self, adapter: SolverAdapter, problem: ConicProgram) -> SolverResult:
         if self.is_default:
             return solve_clarabel(problem)
         if self._last is None:
-            self._last = problem, adapter.session_factory(problem, ASKED * self._tolerance)
+            self._last = problem, adapter.set_up(problem, ASKED * self._tolerance)
         return self._last[1].solve(problem.b)
 
+    def _ask(self, solve: Callable[[], SolverResult]) -> SolverResult:
+        """Return the result of a solve; an exception of the library is its message."""
+        try:
+            return solve()
+        except MemoryError:
+            raise
+        except CallbackError as error:
+            if is_strict.get():
+                raise
+            if not self._errors:
+                text = "the default solver answers in its place, and failures are counted"
+                warnings.warn(f"{error}; {text}", stacklevel=2)
+            self._errors.append(str(error))
+            self.error_count += 1
+            return SolverResult("stopped", str(error))
+        except Exception as error:  # libraries raise what they like
+            return SolverResult("stopped", f"{type(error).__name__}: {error}")
 
-def _ask(solve: Callable[[], SolverResult]) -> SolverResult:
-    """Return the result of a solve; an exception of the library is its message."""
-    try:
-        return solve()
-    except MemoryError:
-        raise
-    except Exception as error:  # libraries raise what they like
-        return SolverResult("stopped", f"{type(error).__name__}: {error}")
-
-
-def _certify(adapter: SolverAdapter, problem: ConicProgram, found: Verification) -> Verification:
-    """Replace a verdict where the duals of the least violation certify infeasibility."""
-    relaxed = relax_cones(problem)
-    if adapter.refusal(relaxed):
-        return found
-    result = _ask(lambda: adapter.session_factory(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
-    if result.y is None:
-        return found
-    ray, objection = verify_ray(problem, read_ray(problem, result.y))
-    if objection:
-        return found._replace(reason=f"{found.reason}; of the least violation, {objection}")
-    return Verification("infeasible", None, "by the duals of the least violation", ray)
+    def _certify(
+        self, adapter: SolverAdapter, problem: ConicProgram, found: Verification
+    ) -> Verification:
+        """Replace a verdict where the duals of the least violation certify infeasibility."""
+        relaxed = relax_cones(problem)
+        if adapter.refusal(relaxed):
+            return found
+        result = self._ask(lambda: adapter.set_up(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
+        if result.y is None:
+            return found
+        ray, objection = verify_ray(problem, read_ray(problem, result.y))
+        if objection:
+            return found._replace(reason=f"{found.reason}; of the least violation, {objection}")
+        return Verification("infeasible", None, "by the duals of the least violation", ray)
 
 
 solve_program = VerifiedSolver()

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.callbacks import CallbackError
 from dynamics.units import Unit
 from sato.campaigns.distributions import Distribution, as_distribution
 from sato.campaigns.functions import FUNCTION, add_modules, find_function, name_of_function
@@ -310,6 +311,8 @@ def _tables_of(trial: Trial) -> Any:
     find_function(trial.source)
     try:
         return trial._replace(parameters={}).build_mission()
+    except CallbackError:
+        raise
     except Exception as error:  # whatever a function of the user's raises
         reason = f"{trial.source} raises {type(error).__name__}: {error}"
         raise InputError("", reason) from error

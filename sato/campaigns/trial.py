@@ -8,15 +8,18 @@ import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
+from copy import deepcopy
+from dataclasses import replace
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from dynamics.callbacks import CallbackError, as_kind, call
 from sato.campaigns.functions import add_modules, find_function
 from sato.resource_usage import peak_memory_mib, reset_peak_memory
 from sato.run_data import json_default
@@ -69,12 +72,13 @@ class Trial(NamedTuple):
         """
         source: Any = self.source
         if isinstance(source, str):
-            source = find_function(source)(generator(*self.stream, 1))
+            name, rng = source, generator(*self.stream, 1)
+            source = call(name, find_function(name), rng, passes=InputError, check=_check_source)
         if isinstance(source, Mission):
             if not self.parameters:
                 return source
             source = tomllib.loads(source.to_toml())
-        return from_dict(source, tuple(self.parameters.items()))
+        return from_dict(dict(source), tuple(self.parameters.items()))
 
 
 @cache
@@ -115,8 +119,10 @@ def run_trial(trial: Trial) -> Outcome:
 
 
 def _call(trial: Trial, outcome: Outcome) -> None:
-    found = find_function(trial.function)(generator(*trial.stream, 1), **trial.parameters)
-    outcome |= {"exit": "done", "columns": _as_columns(found)}
+    rng = generator(*trial.stream, 1)
+    function = partial(find_function(trial.function), **trial.parameters)
+    columns = call(trial.function, function, rng, check=_as_columns)
+    outcome |= {"exit": "done", "columns": columns}
 
 
 def _fly(trial: Trial, outcome: Outcome) -> None:
@@ -124,12 +130,15 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
         mission = trial.build_mission()
         outcome["scenario"] = mission.to_toml()
         flown = run(mission, seed=trial.seed)
+    except CallbackError:
+        raise
     except (InputError, ScenarioError) as error:
         outcome |= {"exit": "refused", "error": str(error)}
         return
     outcome |= judge(flown)
     if trial.columns:
-        outcome["columns"] = more_columns(trial.columns, flown)
+        theirs = replace(flown, summary=deepcopy(flown.summary))
+        outcome["columns"] = more_columns(trial.columns, theirs)
     if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
         try:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
@@ -193,13 +202,20 @@ def last_lines() -> str:
 def more_columns(function: str, flown: Any) -> Outcome:
     """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
-        return _as_columns(find_function(function)(flown))
+        return cast(Outcome, call(function, find_function(function), flown, check=_as_columns))
     except (Exception, SystemExit):  # whatever a function of the user's raises
         return {"columns_error": last_lines()}
 
 
+def _check_source(source: Any) -> Any:
+    return as_kind(source, Mission | Mapping, "a mission, or a dict with its keys")
+
+
 def _as_columns(found: Any) -> dict[str, Any]:
-    cells = flatten(dict(found))
+    try:
+        cells = flatten(as_kind(found, Mapping, "a dict of columns"))
+    except TypeError as error:
+        raise InputError("", f"must be a dict of numbers, text and lists: {error}") from error
     if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
-        raise ValueError(f"must be at most {MOST_CELLS} columns with printable names")
+        raise InputError("", f"must be at most {MOST_CELLS} columns with printable names")
     return cells

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, as_kind, as_shape
 from dynamics.units import Key, Length, Speed, Time, Unit
 from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError
@@ -16,7 +17,23 @@ Vector3 = Float[Array, " 3"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WaypointStick(Definition):
+class Stick(Definition):
+    """Operator's stick; methods of a user's own are checked."""
+
+    callbacks: ClassVar = {
+        "command_velocity": Callback(
+            "time position waypoints_reached", lambda own, given, value: as_shape(value, (3,))
+        ),
+        "has_arrived": Callback(
+            "position waypoints_reached",
+            lambda own, given, value: bool(as_kind(value, bool | np.bool_, "True or False")),
+        ),
+        "draw": Callback("leader rng", lambda own, given, drawn: as_kind(drawn, Stick, "a stick")),
+    }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WaypointStick(Stick):
     """An operator that steers for one waypoint after another, and lets go now and then."""
 
     kind: ClassVar[str] = "waypoints"
@@ -75,7 +92,7 @@ class WaypointStick(Definition):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RecordedStick(Definition):
+class RecordedStick(Stick):
     """A recorded stick; each velocity holds until the next."""
 
     kind: ClassVar[str] = "recorded"

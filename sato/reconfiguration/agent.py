@@ -147,7 +147,7 @@ class Agent:
         if before is not None and self.memory.under_way is before:
             self.memory = self._go_on(before, received)
         assert self.memory.control is not None
-        return self.memory.control, self._message
+        return self.memory.control.copy(), self._message
 
     def set_targets(
         self,

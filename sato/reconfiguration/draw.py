@@ -12,6 +12,7 @@ from sato.reconfiguration import (
     feasibility,
     first_commitment,
     link_feasibility,
+    own_motion,
     passive_requirements,
     reach,
 )
@@ -27,6 +28,7 @@ from sato.scenario.ranges import check_memory
 from sato.shapes import Points
 
 TIME_FACTOR = 1.5  # of automatic steps, over the least
+UNKNOWN_STEPS = 50  # over which controls must reach every state, where a leg has automatic ones
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
@@ -37,6 +39,9 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     """
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(mission, n))
     demand, asked = feasibility.target_demand(mission), mission.legs
+    if own_motion.is_own_model(mission.model):
+        length = UNKNOWN_STEPS if is_auto(mission.legs[0].steps) else mission.legs[0].steps
+        own_motion.check_authority(type(mission.model).__name__, mission.discretize(length))
     mission = _with_placeholders(mission)
     nobody, agents = np.empty((0, mission.axes)), range(mission.agent_count)
     start = draw_start(mission, "swarm.start", mission.start, agents, nobody, 0.0, rng)
@@ -58,6 +63,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=as_listed_points(start), legs=tuple(legs))
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
+    own_motion.try_plant(drawn.flown_plant, drawn.initial_states, drawn.step)
     drawn = _resolve(drawn, departures, factors, demand)
     check_margin_to_obstacles(drawn)
     link_feasibility.check_starts(drawn)

@@ -87,13 +87,16 @@ def _check_solver(mission: "Reconfiguration") -> None:
     from scipy.sparse import csc_array
 
     from problems.conic import ConicProgram
-    from problems.solvers import list_able, load_adapters
+    from problems.solvers import SolverAdapter, list_able, load_adapters
 
     name, known = mission.solver, load_adapters()
     if name not in known:
         close = closest_name(name, known)
         hint = f"; did you mean {close}?" if close else f"; there are {join_names(known, 'and')}"
         raise InputError("plan.solver", f'there is no solver "{name}"{hint}')
+    if not isinstance(known[name], SolverAdapter):
+        got = type(known[name]).__name__
+        raise InputError("plan.solver", f'"{name}" must be a SolverAdapter, got {got}')
     # A program with the cones and the cost that the mission's may have.
     is_energy, norms = mission.objective == "energy", {mission.control_norm, mission.fuel_norm}
     if np.isfinite(mission.top_speeds).any():

@@ -91,7 +91,9 @@ class _Flight:
             everyone = list(range(len(m)))
             self.events.append({"kind": "clocks", "agents": everyone, "steps": steps})
         tolerance = mission.tolerance or TOLERANCE
-        self.solvers = [VerifiedSolver(mission.solver, tolerance) for _ in m]  # its own each
+        self.errors = list[str]()  # of solvers of the user's own
+        chosen = mission.solver, tolerance, self.errors
+        self.solvers = [VerifiedSolver(*chosen) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
         self.loads = [Load.none(len(m)) for _ in PURPOSES]  # at this instant
         self.received = np.zeros((2, len(m), len(PURPOSES)), dtype=np.int64)  # until now
@@ -264,6 +266,7 @@ class _Flight:
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
         solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
+        errors, error_count = np.array([own.error_count for own in self.solvers]), len(self.errors)
         memory, blocked = context.memory, None
         auction = Load.none(len(self.x))
         was_reset = np.zeros(len(self.x), dtype=bool)
@@ -289,11 +292,16 @@ class _Flight:
         if found.cautious:
             events.append({"kind": "cautious", "agents": found.cautious})
         rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
-        if rejected.any():
-            which = np.flatnonzero(rejected).tolist()
-            reasons = sorted({self.solvers[i].last_rejection for i in which})
-            more = {"programs": int(rejected.sum()), "reasons": reasons}
-            events.append({"kind": "fallback", "agents": which, **more})
+        failed = np.array([own.error_count for own in self.solvers]) - errors
+        reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
+        counted = (
+            ("fallback", rejected, reasons),
+            ("solver_error", failed, self.errors[error_count:]),
+        )
+        for kind, counts, said in counted:
+            if counts.any():
+                more = {"programs": int(counts.sum()), "reasons": sorted(set(said))}
+                events.append({"kind": kind, "agents": np.flatnonzero(counts).tolist(), **more})
         made = found.plans, found.committed, events, was_reset, blocked
         loads = auction, exchange, found.load
         self.loads[1:] = [a.plus(b) for a, b in zip(self.loads[1:], loads, strict=True)]

@@ -17,7 +17,7 @@ from dynamics.trajectory_geometry import min_distance
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.network.link import Link
 from sato.obstacles import AnyObstacle
-from sato.reconfiguration import feasibility, link_feasibility, models, vehicles
+from sato.reconfiguration import feasibility, link_feasibility, models, own_motion, vehicles
 from sato.reconfiguration.leg import Count, Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
@@ -33,6 +33,7 @@ from sato.scenario.definition import (
     Matrix,
     NotNegative,
     Positive,
+    is_auto,
 )
 from sato.scenario.errors import InputError, format_value
 from sato.scenario.file import Mission
@@ -296,6 +297,8 @@ class Reconfiguration(PlannedLimits, Mission):
     def check(self) -> None:
         """Refuse fields that contradict each other, and legs without targets enough."""
         models.check_motion(self.model, self.chief, self.plant)
+        steps = sum(leg.steps for leg in self.legs if not is_auto(leg.steps))
+        own_motion.check_own_motion(self.model, self.plant, self.step, steps)
         vehicles.check_limits(self)
         vehicles.check_automatic_steps(self)
         feasibility.check(self)
@@ -385,7 +388,9 @@ class Reconfiguration(PlannedLimits, Mission):
     def initial_states(self) -> Float[Array, "agents n"]:
         """States in which all agents start, in SI units, those that join last; once drawn."""
         joins = [states_of(join.start) for leg in self.legs for join in leg.joins]
-        return np.concatenate([states_of(self.start), *joins])
+        states = np.concatenate([states_of(self.start), *joins])
+        states.flags.writeable = False
+        return states
 
     def uses_all_targets(self, leg: Leg) -> bool:
         """Tell whether agents look at all targets of a leg, and not only at the first m."""

@@ -22,6 +22,7 @@ from dynamics.plant import LinearPlant, NonlinearPlant, Plant
 from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
 from sato.reconfiguration.orbit import Chief
+from sato.reconfiguration.own_motion import check_axes
 from sato.scenario.definition import Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, join_names
 
@@ -139,7 +140,8 @@ def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief
 
 
 def as_point_mass(model: Any) -> Any:
-    """Convert a double integrator of the library to its definition."""
+    """Convert a double integrator of the library to its definition; refuse a model by its axes."""
+    check_axes(model)
     return PointMass(model.axes) if type(model) is DoubleIntegrator else model  # type: ignore[arg-type]
 
 

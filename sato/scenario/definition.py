@@ -13,13 +13,23 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache, cached_property
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from annotated_types import Ge, Gt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
+from dynamics.callbacks import Callback, guard
 from dynamics.inputs import as_array as as_array
 from dynamics.model import Model
 from dynamics.plant import Plant
@@ -55,6 +65,12 @@ class Definition:
     Raises:
         InputError: A field has a value that it cannot have, or two contradict each other.
     """
+
+    callbacks: ClassVar[dict[str, Callback]] = {}  # methods that users write
+
+    def __init_subclass__(cls) -> None:
+        """Check methods of the user's own."""
+        guard(cls, cls.callbacks)
 
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""

@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field
 
+from dynamics.callbacks import Callback, as_kind
 from sato.scenario.definition import Definition, In
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
 from sato.scenario.overrides import Setting, override
@@ -28,6 +29,10 @@ class Mission(Definition):
     """Mission of a system: a scenario, from Python or from a file."""
 
     system: ClassVar[str]
+    callbacks: ClassVar = {
+        "draw": Callback("rng", lambda own, given, drawn: _check_drawn(own, drawn), InputError),
+        "warnings": Callback("", lambda own, given, value: as_kind(value, list, "a list of text")),
+    }
 
     name: Annotated[Name, In(""), "name of the scenario"] = "mission"
 
@@ -82,6 +87,10 @@ def describe_own(text: str) -> str:
     verb, them = ("is", "it") if len(found) == 1 else ("are", "them")
     given = f"{verb} of your own; sato.load(path, mission=...) gives {them}"
     return f"{join_names(found, 'and')} {given}" if found else ""
+
+
+def _check_drawn(mission: Mission, drawn: Any) -> Any:
+    return as_kind(drawn, type(mission), f"a {type(mission).__name__}, drawn")
 
 
 def scenarios() -> dict[str, str]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, as_kind, as_shape
 from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
 from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
@@ -35,6 +36,16 @@ class Drawing(NamedTuple):
 class Shape(Definition):
     """Positions for any number of agents; a flat shape lies in the x-y plane of space."""
 
+    callbacks: ClassVar = {
+        "draw": Callback("count axes", lambda own, given, value: _as_drawing(given, value)),
+        "place": Callback(
+            "count axes min_distance", lambda own, given, value: _as_rows(given, value)
+        ),
+        "place_velocities": Callback(
+            "count axes",
+            lambda own, given, value: value if value is None else _as_rows(given, value),
+        ),
+    }
     is_absolute: ClassVar[bool] = False  # keeps size and position unless others are requested
 
     center: Annotated[Coordinates | None, Unit("m"), "its middle; the origin if absent"] = None
@@ -115,6 +126,18 @@ class Shape(Definition):
             raise ValueError(f"{found}, and they need {needed:.8g} m: {cure} would do")
         stays = self.is_absolute and self.center is None
         return np.asarray((points - middle) * scale + (middle * scale if stays else 0.0))
+
+
+def _as_drawing(given: dict[str, Any], value: Any) -> Drawing:
+    what = "Drawing(points, middle)"
+    points, middle, size = (*as_kind(value, tuple, what), 1.0, 1.0, 1.0)[:3]
+    axes = np.shape(points)[1] if isinstance(points, Array) and points.ndim == 2 else given["axes"]
+    points, middle = as_shape(points, (given["count"], axes)), as_shape(middle, (axes,))
+    return Drawing(points, middle, float(as_shape(size, ())))
+
+
+def _as_rows(given: dict[str, Any], value: Any) -> Array:
+    return as_shape(value, (given["count"], given["axes"]))
 
 
 def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes"]:

@@ -264,12 +264,15 @@ class ReconfigurationRecord(
     def pieces_per_step(self) -> int:
         """Cubic pieces per step: one where a cubic is exact, else at most a second each.
 
-        An even number where the interpolation error is measured instead of bounded.
+        At most a quarter of the shortest time constant of the model each, and an even number
+        where the interpolation error is measured instead of bounded.
         """
         step = self.mission.step
-        if self._time_invariant_model is None:
+        model = self._time_invariant_model
+        if model is None:
             return 2 * int(np.ceil(step / 2))
-        return 1 if self._interpolation_error(self.state, 1) == 0 else int(np.ceil(step))
+        finest = max(1.0, 4 * float(np.abs(np.linalg.eigvals(model.A(0.0))).max()))
+        return 1 if self._interpolation_error(self.state, 1) == 0 else int(np.ceil(finest * step))
 
     def _interpolation_error(self, x: Float[Array, "instants agents n"], pieces: int) -> float:
         x, h, d = np.moveaxis(x, 0, 1), self.mission.step / pieces, self.mission.axes

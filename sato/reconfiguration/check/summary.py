@@ -51,8 +51,10 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         if len(legs) == len(mission.legs):
             summary["energy_lower_bound_m2_s3"] = sum(each.bound for each in record.energy_bounds)
     if mission.solver != "clarabel":
-        rejected = (e["programs"] for _, e in record.events.of_kind("fallback"))
-        summary["solver_fallbacks"] = sum(map(int, rejected))
+        for name, kind in (("solver_fallbacks", "fallback"), ("solver_errors", "solver_error")):
+            counts = [int(event["programs"]) for _, event in record.events.of_kind(kind)]
+            if counts or kind == "fallback":
+                summary[name] = sum(counts)
     for kind in ("slack", "braked", "infeasible", "cautious"):
         name = "slack_used" if kind == "slack" else kind
         summary[name] = sum(max(len(e["agents"]), 1) for _, e in record.events.of_kind(kind))

@@ -1,0 +1,205 @@
+"""Callbacks: functions and methods of a user's own, called with copies, their results checked.
+
+They are not trusted. Each gets arrays that nobody else has and that cannot be written to. What it
+returns is converted and checked, and what it raises becomes a sentence with the place in the
+user's file. Functions of this library are called as they are.
+"""
+
+import os
+import sysconfig
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import wraps
+from pathlib import Path
+from traceback import walk_tb
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from dynamics.inputs import InputError, as_array
+from dynamics.symbols import Symbol, is_symbolic
+
+LIBRARY = ("dynamics", "problems", "sato")
+# Beginnings of the names of files that are not the user's.
+_FOREIGN = (
+    *(f"{Path(__file__).parent.parent / name}{os.sep}" for name in LIBRARY),
+    *(sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")),
+    "<frozen",
+    "<__array",
+)
+MAX_LENGTH = 300  # of the text of an exception
+
+is_strict: ContextVar[bool] = ContextVar("is_strict", default=False)  # as of `strictly`
+
+
+class CallbackError(InputError):
+    """Fault of a function of the user's own: it raised, or returned what it may not.
+
+    An exception that it raised is the cause of this one.
+    """
+
+
+class Callback(NamedTuple):
+    """Method that users write."""
+
+    parameters: str  # their names
+    check: Callable[[Any, dict[str, Any], Any], Any]  # object, arguments, result ↦ it, converted
+    passes: type[InputError] = CallbackError  # what it may raise
+
+
+def is_own(part: Any) -> bool:
+    """Tell whether a class or a function is the user's own, and not of this library."""
+    return str(getattr(part, "__module__", "")).partition(".")[0] not in LIBRARY
+
+
+@contextmanager
+def strictly(is_wanted: bool) -> Iterator[None]:
+    """Raise exceptions of callbacks as they are, where this is wanted."""
+    token = is_strict.set(is_wanted)
+    try:
+        yield
+    except InputError as error:
+        fault: BaseException | None = error
+        while is_wanted and fault is not None:
+            if isinstance(fault, CallbackError) and fault.__cause__ is not None:
+                raise fault.__cause__ from fault.__cause__.__cause__
+            fault = fault.__cause__
+        raise
+    finally:
+        is_strict.reset(token)
+
+
+def call(
+    name: str,
+    function: Callable[..., Any],
+    *arguments: Any,
+    passes: type[Exception] | tuple[type[Exception], ...] = CallbackError,
+    check: Callable[[Any], Any] | None = None,
+    **options: Any,
+) -> Any:
+    """Call a function of the user's own with copies of arrays, which cannot be written to.
+
+    Args:
+        name: Name of the function in messages.
+        function: The function.
+        arguments: Its arguments.
+        passes: Exceptions that are raised as they are.
+        check: Converts the result, or raises an `InputError` that begins with "must".
+        options: Its keyword arguments.
+
+    Raises:
+        CallbackError: It raised another exception, or returned what it may not.
+    """
+    try:
+        options = {key: _protect(value) for key, value in options.items()}
+        result = function(*map(_protect, arguments), **options)
+    except passes:
+        raise
+    except Exception as error:
+        where = f" ({place})" if (place := _find_place(error, function)) else ""
+        if isinstance(error, ValueError) and "read-only" in str(error):
+            reason = "writes into an array that it was given, which is the flight's"
+            raise CallbackError("", f"{name} {reason}{where}; x = x.copy() would do") from error
+        text = " ".join(str(error).split())[:MAX_LENGTH]
+        said = f"{type(error).__name__}: {text}" if text else type(error).__name__
+        raise CallbackError("", f"{name} raised {said}{where}") from error
+    try:
+        return result if check is None else check(result)
+    except InputError as error:
+        raise CallbackError("", f"{name}: the result {error}") from error
+
+
+def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> Array:
+    """Convert a result to an array of finite doubles of a shape.
+
+    Args:
+        value: The result.
+        shape: Shape of the array.
+        can_stretch: True where leading axes may be missing, along which it is then the same.
+
+    Raises:
+        InputError: It cannot be converted, or has another shape.
+    """
+    would_do = f"an array of shape {shape} would do"
+    if value is None:
+        raise InputError("", f"must not be None: a return is missing; {would_do}")
+    try:
+        lacking = max(len(shape) - np.ndim(value), 0) if can_stretch else 0
+        array = as_array(value, len(shape) - lacking) if 0 not in shape else np.zeros(shape)
+    except InputError as error:
+        raise InputError("", f"{error}; {would_do}") from error
+    except Exception as error:  # whatever an object raises that cannot become an array
+        raise InputError("", f"must be an array, got {type(value).__name__}; {would_do}") from error
+    if array.shape != shape[lacking:]:
+        raise InputError("", f"must be an array of shape {shape}, got {array.shape}")
+    return np.array(np.broadcast_to(array, shape))
+
+
+def as_kind(value: Any, kind: Any, would_do: str) -> Any:
+    """Return a result of a type; an `InputError` refuses any other."""
+    if not isinstance(value, kind):
+        raise InputError("", f"must be {would_do}, got {type(value).__name__}")
+    return value
+
+
+def guard(cls: type, callbacks: dict[str, Callback]) -> None:
+    """Let methods that are the user's own be called and checked as callbacks.
+
+    For `__init_subclass__` of the classes that users derive from.
+
+    Raises:
+        InputError: One of them is no method.
+    """
+    for name, callback in callbacks.items():
+        owner = next((each for each in cls.__mro__ if name in vars(each)), type)
+        method = vars(owner).get(name)
+        if is_own(owner) and owner is not type and not getattr(method, "is_guarded", False):
+            as_kind(method, Callable, f"a method {name} of {cls.__name__}")
+            setattr(cls, name, _guard_method(name, method, callback))
+
+
+def _guard_method(name: str, method: Any, callback: Callback) -> Any:
+    parameters = callback.parameters.split()
+
+    @wraps(method)
+    def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
+        bound = method.__get__(self, type(self))
+        given = dict(zip(parameters, arguments, strict=False)) | options
+        is_super = getattr(type(self), name) is not guarded  # checked by the method that calls it
+        if is_super or any(map(_has_symbols, given.values())):
+            return bound(*arguments, **options)
+        time = given.get("t")
+        when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
+        full, passes = f"{type(self).__name__}.{name}{when}", callback.passes
+
+        def check(result: Any) -> Any:
+            return callback.check(self, given, result)
+
+        return call(full, bound, *arguments, passes=passes, check=check, **options)
+
+    guarded.is_guarded = True  # type: ignore[attr-defined]
+    return guarded
+
+
+def _find_place(error: BaseException, function: Any) -> str:
+    """Find the file and the line of the user's code that raised an exception; "" if unknown."""
+    code = getattr(getattr(function, "__func__", function), "__code__", None)
+    places = [] if code is None else [(code.co_filename, code.co_firstlineno)]
+    places += [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__)]
+    known = [place for place in places if not place[0].startswith(_FOREIGN)]
+    return f"{Path(known[-1][0]).name}:{known[-1][1]}" if known else ""
+
+
+def _protect(value: Any) -> Any:
+    if not isinstance(value, Array) or value.dtype == object:
+        return value
+    copy = value.copy()
+    copy.flags.writeable = False
+    return copy
+
+
+def _has_symbols(value: Any) -> bool:
+    is_array = isinstance(value, Array) and value.dtype == object
+    return is_array or isinstance(value, Symbol) or is_symbolic(value)

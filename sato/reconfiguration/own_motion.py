@@ -1,0 +1,113 @@
+"""Models and plants of the user's own: checked before anything is flown."""
+
+from math import ceil
+from typing import Any
+
+import numpy as np
+
+from dynamics.callbacks import CallbackError, is_own
+from dynamics.discretize import DiscreteModel
+from dynamics.model import LinearizedModel, LinearModel, Model, NonlinearModel, SymbolicModel
+from dynamics.orbit import Orbit
+from dynamics.plant import LinearPlant, NonlinearPlant, Plant
+from sato.scenario.errors import InputError, round_down
+
+ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
+LEAST_REACH = 1e-9  # of the direction that controls move least, over that they move most
+
+
+def is_own_model(model: Any) -> bool:
+    """Tell whether equations of motion are the user's own."""
+    if isinstance(model, LinearizedModel):
+        return is_own_model(model.model)
+    return isinstance(model, Model) and (is_own(type(model)) or isinstance(model, SymbolicModel))
+
+
+def check_axes(model: Any) -> None:
+    """Refuse a model that is neither of the plane nor of space.
+
+    Raises:
+        InputError: It is.
+    """
+    axes = getattr(model, "axes", None)
+    if isinstance(model, Model) and (isinstance(axes, bool) or axes not in (2, 3)):
+        raise InputError("", f"{type(model).__name__}.axes must be 2 or 3, got {axes!r}")
+
+
+def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
+    """Refuse equations of motion of the user's own that cannot be planned or flown.
+
+    Args:
+        model: Model of the mission.
+        plant: Plant of the mission.
+        step: Control step [s].
+        steps: Control steps of all legs, as far as they are known.
+
+    Raises:
+        InputError: They cannot be; the message has the name of the method.
+    """
+    inner = plant.model if isinstance(plant, LinearPlant | NonlinearPlant) else None
+    for key, own in (("model", model), ("plant", inner)):
+        if is_own_model(own):
+            try:
+                _check_model(own, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
+            except InputError as error:
+                raise error.inside(key) from error
+    orbit = plant.chief_orbit if isinstance(plant, Plant) else None
+    if orbit is not None and not isinstance(orbit, Orbit):
+        name = f"{type(plant).__name__}.chief_orbit"
+        raise InputError("plant", f"{name} must be a dynamics.Orbit, got {type(orbit).__name__}")
+
+
+def _check_model(model: Any, step: float, times: Any) -> None:
+    check_axes(model)
+    linear = LinearizedModel(model) if isinstance(model, NonlinearModel) else model
+    assert isinstance(linear, LinearModel)
+    d, name = model.axes, type(model).__name__
+    (A, B, z), here = linear.matrices(times), (linear.A(0.0), linear.B(0.0), linear.z(0.0))
+    is_velocity = np.allclose(A[:, :d], np.eye(d, 2 * d, d), 0, ROUNDING)
+    if not is_velocity or max(np.abs(B[:, :d]).max(), np.abs(z[:, :d]).max()) > ROUNDING:
+        reason = "the rate of the position must be the velocity, without control; a model with"
+        cure = "position alone is none; v̇ = (u − v)/τ, with τ of a step or more, would do"
+        raise InputError("", f"{name}: {reason} {cure}")
+    for part, first, all_ in zip("ABz", here, (A, B, z), strict=True):
+        if linear.is_time_invariant and not np.allclose(all_, first, ROUNDING, ROUNDING):
+            reason = f"{part} changes with time; is_time_invariant = False would do"
+            raise InputError("", f"{name}.is_time_invariant is True, and {reason}")
+    fastest, h = float(np.abs(np.linalg.eigvals(A)).max()), step / ceil(step)
+    if fastest * h > 1:
+        reason = f"changes at {fastest:.3g} 1/s, in a time of {1 / fastest:.3g} s, and a control"
+        cure = f"plan.step_s = {round_down(1 / fastest)} would do"
+        raise InputError("", f"{name} {reason} is held for {step:g} s; {cure}")
+
+
+def check_authority(name: str, model: DiscreteModel) -> None:
+    """Refuse a model whose controls do not reach every state.
+
+    Raises:
+        InputError: They do not.
+    """
+    n, time = model.A.shape[-1], len(model) * model.dt
+    moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
+    sizes = np.linalg.svd(moved, compute_uv=False)
+    count = int((sizes > LEAST_REACH * sizes.max(initial=0.0)).sum())
+    if count < n:
+        reason = f"controls move {count} of {n} directions of the state in {len(model)} steps"
+        raise InputError("model", f"{name}.B: {reason}; a B that is an acceleration would do")
+
+
+def try_plant(plant: Plant, x: Any, step: float) -> None:
+    """Propagate the first states by a plant of the user's own, which must repeat itself.
+
+    Raises:
+        CallbackError: It fails, or does not.
+    """
+    if not is_own(type(plant)):
+        return
+    u = np.zeros((len(x), x.shape[1] // 2))
+    plant.propagate(x, u, 0.0, step, 2)
+    first, again = (plant.propagate(x, u, 0.0, step) for _ in range(2))
+    if not np.array_equal(first, again):
+        name = f"{type(plant).__name__}.propagate"
+        reason = "returns other states for the same arguments; a plant without state and chance"
+        raise CallbackError("", f"{name} {reason} would do")
