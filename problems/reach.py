@@ -1,9 +1,10 @@
-"""Lower bounds of the control that very many displacements take.
+"""Bounds of the control that very many displacements take, from below and from above.
 
-    minimize  max_j |u_j|   subject to  C u = b
+    minimize  max_k ‖u_k‖_r   subject to  Σ_k C_k u_k = b
 
-Any λ bounds it from below by λᵀb / Σ_j |c_jᵀλ|. The multipliers of the control of least energy,
-weighted by 1 / |c_jᵀλ| of the round before, come close to the best λ.
+Any λ bounds it from below by λᵀb / Σ_k ‖C_kᵀλ‖ in the dual norm. The multipliers of the control of
+least energy, weighted by 1 / ‖C_kᵀλ‖ of the round before, come close to the best λ; that control
+itself comes close to the optimum, and bounds it from above.
 """
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
+from problems.limit import Limit, Norm, vector_norm
 from problems.minimum_fuel import decouple_axes, reachability_matrix
 
 MAX_ROUNDS = 15  # after which a bound is a few percent below the least control
@@ -21,37 +23,58 @@ MIN_CONDITION = 1e-12  # relative, below which a state counts as out of control
 
 
 def bound_least_controls(
-    steps: DiscreteModel, displacement: Float[Array, "many n"]
-) -> Float[Array, " many"]:
-    """Bound the least max|u| on any axis that produces each displacement from below [m/s²].
+    steps: DiscreteModel, displacement: Float[Array, "many n"], limit: Limit
+) -> tuple[Float[Array, " many"], Float[Array, " many"]]:
+    """Bound the least size of the controls that produce each displacement [m/s²].
 
     Args:
-        steps: Dynamics, the same for all; with too few steps to control every state, bounds are 0.
+        steps: Dynamics, the same for all; with too few steps to control every state, bounds are 0
+            and infinite.
         displacement: x_f − Φ x₀ − (drift), a row for each.
+        limit: Norm and shares of the control; its size does not matter.
+
+    Returns:
+        Lower and upper bounds of L in ‖u / s‖_r ≤ L.
     """
-    C, count = reachability_matrix(steps), len(displacement)
-    bound = np.zeros(count)
-    for states, inputs in decouple_axes(steps):
+    C, count = reachability_matrix(steps) * limit.shares, len(displacement)
+    lower, upper = np.zeros((2, count))
+    groups = decouple_axes(steps)
+    if limit.norm != "inf":  # axes share the limit
+        groups = [tuple(np.concatenate(part) for part in zip(*groups, strict=True))]
+    for states, inputs in groups:
         own = C[states][:, :, inputs].reshape(len(states), -1)
         rows, triangle = np.linalg.qr(own.T)
         size = np.abs(np.diag(triangle))
         if len(size) < len(states) or not size.min() > MIN_CONDITION * size.max():
+            upper[:] = np.inf
             continue
         b = np.linalg.solve(triangle.T, displacement[:, states].T).T
+        Q = rows.T.reshape(len(b[0]), len(steps), -1)
+        if limit.norm == "inf":
+            Q = Q.reshape(len(Q), -1, 1)  # each axis by itself
         rounds = int(np.clip(MAX_NUMBERS // (count * len(rows)), 1, MAX_ROUNDS))
         for some in np.array_split(np.arange(count), count * len(rows) // CHUNK_NUMBERS + 1):
-            bound[some] = np.maximum(bound[some], _bound(rows.T, b[some], rounds))
-    return bound
+            below, above = _bound(Q, b[some], rounds, limit.norm)
+            lower[some] = np.maximum(lower[some], below)
+            upper[some] = np.maximum(upper[some], above)
+    return lower, upper
 
 
-def _bound(Q: Float[Array, "s N"], b: Float[Array, "some s"], rounds: int) -> Float[Array, " some"]:
-    squares = (Q[:, None] * Q).reshape(-1, Q.shape[1]).T
-    λ, bound = b, np.zeros(len(b))
+def _bound(
+    Q: Float[Array, "s T m"], b: Float[Array, "some s"], rounds: int, norm: Norm
+) -> tuple[Float[Array, " some"], Float[Array, " some"]]:
+    dual: Norm = {1: "inf", 2: 2, "inf": 2}[norm]  # of a single axis all norms are the same
+    s, T, _ = Q.shape
+    squares = np.einsum("ikm,jkm->kij", Q, Q).reshape(T, s * s)
+    λ, lower, upper = b, np.zeros(len(b)), np.full(len(b), np.inf)
+    weight = np.ones((len(b), T))
     for _ in range(rounds):
-        size = np.abs(λ @ Q)
+        v = np.tensordot(λ, Q, 1)
+        upper = np.minimum(upper, (weight * vector_norm(v, norm)).max(axis=1))
+        size = vector_norm(v, dual)
         size[~(size.max(axis=1) > 0)] = 1.0  # where there is nothing to move
-        bound = np.maximum(bound, (λ * b).sum(axis=1) / size.sum(axis=1))
+        lower = np.maximum(lower, (λ * b).sum(axis=1) / size.sum(axis=1))
         weight = 1 / (size + SMOOTHING * size.max(axis=1, keepdims=True))
-        gram = (weight @ squares).reshape(len(b), len(Q), len(Q))
+        gram = (weight @ squares).reshape(len(b), s, s)
         λ = np.linalg.solve(gram, b[..., None])[..., 0]
-    return bound
+    return lower, upper

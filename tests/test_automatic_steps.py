@@ -115,7 +115,7 @@ def test_in_orbit_the_steps_follow_the_model():
 
 def test_targets_out_of_reach_at_any_time_are_refused():
     far = {"max_control": 1e-30, "max_speed": 1e3}
-    with pytest.raises(InputError, match=r"leg\.0\.steps: no time of up to \d+ steps is enough"):
+    with pytest.raises(InputError, match=r"leg\.0\.steps: no time of up to \d+ steps is found"):
         make_mission(row(2, 0.0), Leg(row(2, 9.0), "auto"), **(LIMITS | far))
     with pytest.raises(InputError, match="time_factor: must be at least 1, got"):
         Leg(row(2, 9.0), "auto", time_factor=0.5)

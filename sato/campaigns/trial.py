@@ -8,8 +8,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
-from copy import deepcopy
-from dataclasses import replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -136,14 +134,13 @@ def _fly(trial: Trial, outcome: Outcome) -> None:
         outcome |= {"exit": "refused", "error": str(error)}
         return
     outcome |= judge(flown)
-    if trial.columns:
-        theirs = replace(flown, summary=deepcopy(flown.summary))
-        outcome["columns"] = more_columns(trial.columns, theirs)
     if trial.keep == "all" or (trial.keep == "failures" and outcome["exit"] != "reached"):
         try:
             flown.save(Path(trial.folder, "runs", str(trial.row)))
         except OSError as error:
             warnings.warn(f"the run could not be kept: {error}", stacklevel=1)
+    if trial.columns:  # last, for it is the user's, and may change the summary
+        outcome["columns"] = more_columns(trial.columns, flown)
 
 
 def judge(flown: Run) -> Outcome:

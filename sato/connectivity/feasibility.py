@@ -9,6 +9,7 @@ from problems.interaction_graph import algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Obstacles, Plane, obstacle_distances
 from sato.connectivity.power_iteration import spectral_radius
 from sato.connectivity.settings import MAX_ROW_AGE, PowerIterationGains, complete_gains
+from sato.connectivity.stick import RecordedStick
 from sato.network.graph import label_components
 from sato.scenario.definition import errors_in, fields_of
 from sato.scenario.errors import InputError, join_names
@@ -192,10 +193,12 @@ def check_losses(mission: "Connectivity") -> None:
 
 
 def doubts(mission: "Connectivity") -> list[str]:
-    """List doubts about a drawn mission: a fast leader, and an estimator that cannot follow."""
+    """List doubts about a drawn mission: a fast leader, a stick that ends, a slow estimator."""
     speed, commanded = mission.limits.speed, mission.stick.speed
     period = mission.power_iteration.exchange_period
-    found = []
+    found = list[str]()
+    if isinstance(mission.stick, RecordedStick):
+        found += mission.stick.doubt_end(mission.duration)
     if commanded >= speed:
         found.append(
             f"the stick asks for {commanded:g} m/s, and limits.speed_m_s = {speed:g} is all that "

@@ -159,6 +159,8 @@ class Connectivity(Mission):
             error = rng.uniform(-error, error, (n, n))
         with errors_in("stick"):
             stick = self.stick.draw(start[0], rng)
+            if isinstance(stick, RecordedStick):
+                stick.require_command(self.duration)
         with errors_in("obstacles"):
             nearest = self.repulsion.min_distance
             spheres = self.random_obstacles.draw(start, stick.waypoints, nearest, rng)

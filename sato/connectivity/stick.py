@@ -12,6 +12,8 @@ from dynamics.units import Key, Length, Speed, Time, Unit
 from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError
 
+CLOCK_OF_ITS_OWN = 1e8  # times from which on count from the first: 1973 in Unix seconds [s]
+MILLISECONDS = 1e11  # the same in Unix milliseconds: 1973 too, or 5138 in seconds [s]
 MAX_TURN = 1.0  # between two drawn legs [rad]
 Vector3 = Float[Array, " 3"]
 
@@ -93,7 +95,11 @@ class WaypointStick(Stick):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RecordedStick(Stick):
-    """A recorded stick; each velocity holds until the next."""
+    """A recorded stick; each velocity holds until the next.
+
+    Times are those of the flight. From `CLOCK_OF_ITS_OWN` on they are of a clock of the recorder's
+    own, as Unix seconds are, and the flight begins with the first of them.
+    """
 
     kind: ClassVar[str] = "recorded"
     times: Annotated[Vector, Unit("s"), "increasing times"] = LATER
@@ -112,12 +118,46 @@ class RecordedStick(Stick):
         if len(self.times) != len(self.velocities):
             text = f"has {len(self.times)} times for {len(self.velocities)} velocities"
             raise InputError("times_s", text)
-        if not (np.diff(self.times) > 0).all():
-            raise InputError("times_s", "must increase from one to the next")
+        late = np.flatnonzero(~(np.diff(self.times) > 0))
+        if len(late):
+            before, after = self.times[late[0] : late[0] + 2].tolist()
+            reason = f"must increase from one to the next, got {before:.12g} and then {after:.12g}"
+            raise InputError("times_s", reason)
+        if abs(self.times[0]) >= MILLISECONDS:
+            reason = f"begins at {self.times[0]:.4g} s, which are milliseconds or less of some clock"
+            raise InputError("times_s", f"{reason}; times in seconds would do")
 
     def draw(self, leader: Vector3, rng: np.random.Generator) -> "RecordedStick":
-        """Return the stick with the contents of its file."""
-        return self.without_file()
+        """Return the stick with the contents of its file, and the times of the flight."""
+        stick = self.without_file()
+        if stick.times[0] < CLOCK_OF_ITS_OWN:
+            return stick
+        return replace(stick, times=stick.times - stick.times[0])
+
+    def require_command(self, duration: float) -> None:
+        """Refuse a drawn stick that says nothing in a flight of this duration [s].
+
+        Raises:
+            InputError: It begins after the end of the flight.
+        """
+        first, last = self.times[[0, -1]].tolist()
+        if first >= duration:
+            raise InputError(
+                "times_s",
+                f"lie from {first:.10g} to {last:.10g} s, after the flight of {duration:g} s; times "
+                f"that are less by {first:.10g}, or a longer run.duration_s, would do",
+            )
+
+    def doubt_end(self, duration: float) -> list[str]:
+        """Say where a command goes on after a drawn recording, in a sentence."""
+        speed, last = float(np.linalg.norm(self.velocities[-1])), float(self.times[-1])
+        usual = float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+        if last + usual >= duration or not speed:
+            return []
+        return [
+            f"the stick's recording ends at {last:.4g} s of {duration:g} s, and its last command of "
+            f"{speed:.3g} m/s holds until the end; a last row of zeros would let it go"
+        ]
 
     def without_file(self) -> "RecordedStick":
         """Return the same stick with the contents of its file.

@@ -1,5 +1,6 @@
 """One vehicle of a reconfiguration, for a simulator or an onboard computer of the user's own."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -22,6 +23,7 @@ from sato.reconfiguration.agent_inputs import (
     check_agent,
     check_inbox,
     checksum,
+    list_doubts,
     select_messages,
 )
 from sato.reconfiguration.agent_memory import FlightMemory
@@ -95,6 +97,8 @@ class Agent:
         believed, start = target_count or mission.target_count or mission.agent_count, None
         if leg_start is not None:
             believed, start = target_count or 1, as_instant(mission, "leg_start", leg_start)
+        for sentence in list_doubts(mission):
+            warnings.warn(sentence, stacklevel=2)
         self.mission, self.number = mission, number
         # Of arrays that have a row for each agent, only the row of this one counts.
         alone = np.arange(number + 1) == number
@@ -118,7 +122,8 @@ class Agent:
         """Act in one round of messages.
 
         Args:
-            time: Time since the start of the mission [s], by the agent's own clock.
+            time: Time since the start of the mission [s], by the agent's own clock; it counts as
+                the nearest instant, and may be early or late by a quarter of a step.
             state: Position [m] and velocity [m/s] that the agent measures, as an array (2 d,);
                 those of the first call at a control instant count.
             inbox: Messages that the neighbors returned in the last round; those of earlier
@@ -132,7 +137,7 @@ class Agent:
             None from an agent that joins between two decisions.
 
         Raises:
-            ValueError: An instant was skipped, or begins before the decision of the last one is
+            ValueError: The time is near no instant; an instant was skipped, or begins before the decision of the last one is
                 made; the state is not one, or the first is too fast to stop within reach; or
                 neighbors have the same number or another leg.
             OutOfTargets: The network has more agents than there are targets.

@@ -69,7 +69,11 @@ from sato.reconfiguration.census import (
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.offers import Offers, is_kept, make_offers
-from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers
+from sato.reconfiguration.orbital_commitment import (
+    keep_previous,
+    make_orbital_offers,
+    refuse_start,
+)
 from sato.reconfiguration.plan import (
     Plan,
     Plans,
@@ -260,6 +264,8 @@ class Decision(NamedTuple):
 
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
         choice, plan, i = choosing.choice, self.plans[self.number], self.number
+        if self.context.instant == 0 and (met := choosing.find_met()) is not None:
+            refuse_start(*sorted((i, met.agent)), (choosing.message.clearance + met.clearance) / 2)
         committed = {i: stopping.Commitment(self.context.instant, choosing.offers.u[0, choice])}
         is_kept = choice == choosing.offers.last
         if choice == 0 or (is_kept and self.is_unclear):

@@ -1,7 +1,8 @@
 """Inputs of one agent, checked: its number, its state, the time and its inbox."""
 
 from collections.abc import Sequence
-from math import floor, inf
+from functools import lru_cache
+from math import ceil, floor, inf
 from numbers import Integral
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -16,6 +17,7 @@ from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitment
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
+MAX_OFF = 0.25  # of a control step, by which a call may be early or late
 # Fields of the mission that agents must have in common to decide together.
 SHARED = "axes step horizon_steps foresight replan_steps auction_steps freeze_steps".split()
 SHARED += "assignment bidder_ids reset objective cost tie_break".split()
@@ -89,21 +91,44 @@ def check_agent(
         )
 
 
+@lru_cache(maxsize=2)  # asked for by each agent of a mission
+def list_doubts(mission: Reconfiguration) -> tuple[str, ...]:
+    """List what `sato.run` warns of before it flies the same drawn mission."""
+    return tuple(mission.warnings())
+
+
 def _is_whole(number: Any) -> bool:
     return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
-    """Return the control instant at or before a time.
+    """Return the control instant of a call, which may be early or late by some of a step.
+
+    That is the nearest one. Where rounds take time, each instant has calls at multiples of the
+    round, and the time is that of the nearest of all of these.
 
     Raises:
-        ValueError: The time is not one since the start of the mission.
+        ValueError: The time is not one since the start of the mission, or is near no instant.
     """
-    if not isinstance(time, float | int | np.number) or not 0 <= time < inf:
+    step, round_time = mission.step, mission.link.round
+    if not isinstance(time, float | int | np.number) or not -MAX_OFF * step <= time < inf:
         raise ValueError(
             f"{name} must be the seconds since the start of the mission, 0 or more, got {time!r}"
         )
-    return floor(time / mission.step + INSTANT_PRECISION)
+    before = floor(time / step + INSTANT_PRECISION)
+    if 0 < round_time < step:
+        last = (ceil(step / round_time * (1 - INSTANT_PRECISION)) - 1) * round_time
+        is_next = 2 * (time - before * step) > last + step
+        return max(0, before + int(is_next))
+    nearest = round(time / step)
+    if abs(time - nearest * step) > MAX_OFF * step:
+        raise ValueError(
+            f"{name} = {time:.10g} s lies between the instants {before} at {before * step:.10g} s "
+            f"and {before + 1} at {(before + 1) * step:.10g} s: all rounds of an instant have its "
+            f"time, early or late by {MAX_OFF * step:g} s at most; where messages take time, a "
+            "mission with link.round_s would do"
+        )
+    return nearest
 
 
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:

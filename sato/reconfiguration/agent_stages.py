@@ -1,6 +1,7 @@
 """Stages of the decision of one agent: its messages and its memory in each."""
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -247,6 +248,12 @@ class Choosing(NamedTuple):
     def is_finished(self) -> bool:
         """True once all agents know that none changed its choice; in the same round for all."""
         return self.round > self.last_change + self.diameter
+
+    def find_met(self) -> OfferMessage | None:
+        """Find a neighbor that has chosen what is not clear of the agent's own choice."""
+        own = self.message
+        met = (not keeps_clear(own.path, own.clearance, other) for other in self.neighbors)
+        return next(compress(self.neighbors, met), None)
 
     def update(self, inbox: Sequence[OfferMessage]) -> "Choosing":
         """Take the next offer where the agent meets another, and is the one that has to."""

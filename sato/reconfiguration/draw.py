@@ -67,7 +67,14 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     drawn = _resolve(drawn, departures, factors, demand)
     check_margin_to_obstacles(drawn)
     link_feasibility.check_starts(drawn)
-    reach.check_reach(drawn)
+
+    def targets_after(number: int, steps: int) -> Float[Array, "k n"]:
+        begin = sum(leg.steps for leg in drawn.legs[:number])
+        arrival, wanted = (begin + steps) * drawn.step, count_wanted(drawn, number)
+        leg, lowest = replace(asked[number], steps=steps), demand[number]
+        return draw_targets(mission, number, leg, lowest, arrival)[:wanted]
+
+    reach.check_reach(drawn, None if drawn.chief is None else targets_after)
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)
     first_commitment.check_room(drawn)

@@ -12,7 +12,7 @@ in which that is so at the start, and plans are not clear of each other either, 
 
 from collections.abc import Sequence
 from math import ceil
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -312,12 +312,20 @@ def check_start(offers: Offers, choice: Int[Array, " agents"], graph: Communicat
         )
     if len(met):
         k = met[0]
-        raise InputError(
-            "swarm.start",
-            f"agents {offers.agents[i[k]]} and {offers.agents[j[k]]} can neither drift nor fly to "
-            f"their targets {radius[k]:.4g} m apart; starts farther apart or without drift, more "
-            "leg.steps or fewer vehicles would do",
-        )
+        refuse_start(int(offers.agents[i[k]]), int(offers.agents[j[k]]), float(radius[k]))
+
+
+def refuse_start(agent: int, other: int, radius: float) -> NoReturn:
+    """Refuse starts from which two agents can neither drift nor fly to their targets.
+
+    Raises:
+        InputError: Always.
+    """
+    raise InputError(
+        "swarm.start",
+        f"agents {agent} and {other} can neither drift nor fly to their targets {radius:.4g} m "
+        "apart; starts farther apart or without drift, more leg.steps or fewer vehicles would do",
+    )
 
 
 def keep_previous(plan: Plan, previous: Plan | None) -> Plan:

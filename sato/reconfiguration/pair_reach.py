@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,7 +19,72 @@ from problems.transfer import TransferProblem
 from sato.reconfiguration.departure import Departure
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
+PROGRAM_TIME = 2e-3, 5e-5, 4e-7  # of a program, by powers of its steps [s]
+LINEAR = 0.15  # of the time of a program with cones
+INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
+STEP_TIME = 4e-4  # in which a step of a model that changes with time is discretized [s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
+
+
+class Undecided(Exception):
+    """Bounds do not tell whether targets are within reach, and no more programs are allowed."""
+
+    def __init__(self, is_too_large: bool) -> None:
+        super().__init__()
+        self.is_too_large = is_too_large  # for programs of single transfers at all
+
+
+class Budget:
+    """Time that programs of transfers may take on a common machine, however long it is on others.
+
+    The answer of a search is the same on all of them.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._left = seconds
+
+    def spend(self, seconds: float) -> None:
+        """Take the time of a computation.
+
+        Raises:
+            Undecided: There is less.
+        """
+        if seconds > self._left:
+            raise Undecided(is_too_large=False)
+        self._left -= seconds
+
+    def solve(self, departure: Departure, target: Array, steps: int, factor: float) -> bool:
+        """Tell whether an agent can reach a target, by the program of its transfer.
+
+        Raises:
+            Undecided: There is less time than that takes.
+        """
+        seconds = float(np.polynomial.Polynomial(PROGRAM_TIME)(steps))
+        self.spend(seconds * (LINEAR if departure.mission.control_norm == "inf" else 1.0))
+        is_reachable = can_transfer(departure, target, steps, factor)
+        if not is_reachable:
+            self._left -= INFEASIBLE * seconds
+        return is_reachable
+
+    def spend_on_model(self, departure: Departure, steps: int) -> None:
+        """Take the time in which the model is discretized.
+
+        Raises:
+            Undecided: There is less.
+        """
+        if not departure.mission.linear_model.is_time_invariant:
+            self.spend(STEP_TIME * steps)
+
+
+class ControlBounds(NamedTuple):
+    """Bounds of the control that pairs take, without the speed limit [m/s²]."""
+
+    lower: Float[Array, "k targets"]
+    upper: Float[Array, "k targets"]
+
+    def select(self, rows: Int[Array, " k"]) -> "ControlBounds":
+        """Return those of some of the vehicles."""
+        return ControlBounds(self.lower[rows], self.upper[rows])
 
 
 def is_surely_reached(
@@ -47,19 +113,18 @@ def bound_reach(
     targets: Float[Array, "targets n"],
     steps: int,
     factor: float,
-    least: Float[Array, "k targets"] | None,
+    bounds: ControlBounds | None,
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
     """Return the pairs that may be within reach, and those that certainly are.
 
     The vehicles have equal limits. Bounds of the control that pairs take are given, unless all are
-    at rest. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`,
-    bounds alone decide, and pairs that are possible count as certain. Given targets of vehicles
-    in motion are left to single transfers.
+    at rest. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`, bounds alone decide. Given
+    targets of vehicles in motion are left to single transfers.
     """
     mission, start, agent = departure.mission, departure.state, int(departure.agents[0])
     d, h, speed = mission.axes, mission.step, _speed_limit(departure, factor)
     control = mission.planned_control_limit(agent)
-    if least is None or are_at_rest(departure, targets):
+    if bounds is None or are_at_rest(departure, targets):
         count = max(1, MAX_PAIRS // max(1, len(targets)))  # few enough to stay in the cache
         parts = [
             _bound_at_rest(some, targets[:, :d], steps, h, factor, control, speed)
@@ -67,8 +132,8 @@ def bound_reach(
         ]
         possible, sure = (np.concatenate(each) for each in zip(*parts, strict=True))
         return possible, sure
-    # The box of r = ∞ contains the balls of the other norms: out of its reach is out of theirs.
-    possible = least <= factor * control.most * (1 + 1e-9)
+    possible = bounds.lower <= factor * control.most * (1 + 1e-9)
+    sure = possible & (bounds.upper * (1 + 1e-9) <= factor * control.most) & (speed.most == inf)
     if mission.is_point_mass and speed.most < inf:
         starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
         ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
@@ -79,14 +144,20 @@ def bound_reach(
         least_time = np.where(2 * far * most >= ends * V**2, at_full_speed, below)
         possible &= least_time <= steps * h * (1 + 1e-9)
     if mission.assignment == "given" or find_unmatched(possible).sum() > departure.spare:
-        return possible, np.zeros_like(possible)
-    if possible.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS:
-        return possible, possible
+        return possible, sure
+    if is_too_large(possible, steps) or sure[possible].all():
+        return possible, sure
     model = departure.discretize(steps)
     transfer = TransferProblem(model, factor * control.bound, speed.bound, speed_norm=speed.norm)
     found = compute_transfer_costs(transfer, start, targets)
     possible &= found.is_reachable
-    return possible, possible & found.is_exact & (mission.control_norm == "inf")
+    sure |= found.is_exact & (mission.control_norm == "inf")
+    return possible, possible & sure
+
+
+def is_too_large(pairs: Bool[Array, "k targets"], steps: int) -> bool:
+    """Tell whether pairs are too many, over so many steps, for programs of single transfers."""
+    return pairs.size * steps > MAX_SOLVED_PAIRS_TIMES_STEPS
 
 
 def _bound_at_rest(
@@ -123,12 +194,12 @@ def _directions(
 
 def bound_controls(
     departure: Departure, targets: Float[Array, "targets n"], steps: int
-) -> Float[Array, "k targets"]:
-    """Compute lower bounds of the control that each pair takes, without the speed limit."""
-    model = departure.discretize(steps)
+) -> ControlBounds:
+    """Bound the control that each pair takes, without the speed limit."""
+    model, limit = departure.discretize(steps), departure.mission.control_limits[0]
     b = compute_displacements(model, departure.state, targets)
-    lower = bound_least_controls(model, b.reshape(-1, b.shape[2]))
-    return np.asarray(lower.reshape(b.shape[:2]))
+    bounds = bound_least_controls(model, b.reshape(-1, b.shape[2]), limit)
+    return ControlBounds(*(bound.reshape(b.shape[:2]) for bound in bounds))
 
 
 def can_transfer(

@@ -12,13 +12,16 @@ from scipy.optimize import linear_sum_assignment
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.pair_reach import (
+    Budget,
+    ControlBounds,
+    Undecided,
     are_at_rest,
     bound_controls,
     bound_reach,
-    can_transfer,
     find_unmatched,
     group_alike,
     is_surely_reached,
+    is_too_large,
 )
 from sato.scenario.errors import InputError, join_names, round_up
 
@@ -27,37 +30,68 @@ MAX_CONTROL_FACTOR = 64  # times the control that there is
 CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
 MAX_ENERGY_STEPS = 500  # above which the matrices of the least energy are too large
-MAX_SOLVES = 300  # transfers solved one by one, where no bound decides
+CHECK_TIME = 4.0  # of programs that refuse a mission, in all [s]
+SEARCH_TIME = 2.5  # of programs that look for the time, or for the control, that would do [s]
+AUTOMATIC_TIME = 6.0  # of programs that look for the automatic steps of a leg [s]
+
+TargetsAfter = Callable[[int], Float[Array, "targets n"]]  # states to reach in so many steps
 
 
-def check_reach(mission: Reconfiguration) -> None:
+def check_reach(
+    mission: Reconfiguration, targets_after: Callable[[int, int], Array] | None = None
+) -> None:
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
+
+    Where neither bounds nor the programs of some seconds decide, the mission is not refused. What
+    would do is found by bounds and such programs too, and proven: less may be enough.
+
+    Args:
+        mission: A drawn mission.
+        targets_after: States to reach in a leg after a number of steps, where they depend on it.
 
     Raises:
         InputError: An agent can reach none of the targets that it bids on, or too few of them
             can be reached for every agent to have one; says for which agent, and what time or
             control would do.
     """
+    budget = Budget(CHECK_TIME)
     for number, leg in enumerate(mission.legs):
         if departure := depart_leg(mission, number):
-            _check_leg(number, departure, leg.targets[: count_wanted(mission, number)])
+            wanted = leg.targets[: count_wanted(mission, number)]
+            after = partial(targets_after, number) if targets_after else lambda _, y=wanted: y
+            _check_leg(number, departure, wanted, after, budget)
 
 
-def _check_leg(number: int, departure: Departure, targets: Float[Array, "k n"]) -> None:
+def _check_leg(
+    number: int,
+    departure: Departure,
+    targets: Float[Array, "k n"],
+    targets_after: TargetsAfter,
+    budget: Budget,
+) -> None:
     mission = departure.mission
     steps, control = mission.legs[number].steps, float(mission.largest_control.max())
     room = 1.0 if number == 0 else room_at_start(departure, steps)
-    fault = find_stranded(departure, targets, steps, room)
+    try:
+        fault = find_stranded(departure, targets, steps, room, budget=budget)
+    except Undecided:
+        return
     if fault is None:
         return
     longest = min(MAX_TIME_FACTOR * steps, _longest(departure, targets))
-    bounds = cache(partial(bound_controls, departure, targets))
+    timed = _Search(departure, targets_after, SEARCH_TIME)
 
-    def is_enough(steps: float, factor: float = 1.0) -> bool:
-        return find_stranded(departure, targets, int(steps), factor, bounds) is None
+    def is_time_enough(steps: float) -> bool:
+        try:
+            return timed.is_enough(steps)
+        except InputError:  # no velocity keeps vehicles at the targets then
+            return False
 
-    time = _find_least(is_enough, steps, longest)
-    factor = _find_least(lambda f: is_enough(steps, f), 1.0, MAX_CONTROL_FACTOR, CONTROL_PRECISION)
+    time = _find_least(is_time_enough, steps, longest)
+    search = _Search(departure, lambda _: targets, SEARCH_TIME)
+    factor = _find_least(
+        lambda f: search.is_enough(steps, f), 1.0, MAX_CONTROL_FACTOR, CONTROL_PRECISION
+    )
     cures = [f"steps = {time}"] if time else []
     if factor and isinstance(mission.max_control, float | int):
         cures.append(f"model.max_control_m_s2 = {round_up(factor * control)}")
@@ -67,18 +101,39 @@ def _check_leg(number: int, departure: Departure, targets: Float[Array, "k n"]) 
     if slow is not None:
         within += f", at {slow:.3g} m/s, from which vehicles stop before they meet others unheard"
         fast = departure._replace(mission=replace(mission, allow_undetectable=True))
-        if find_stranded(fast, targets, steps, room) is None:
+        if _Search(fast, lambda _: targets, SEARCH_TIME).is_enough(steps, room):
             cures.append(f"swarm.comm_radius_m = {round_up(mission.radius_for_full_speed)}")
-    cures = cures or ["far more steps, a larger model.max_control_m_s2 or max_speed_m_s"]
-    raise InputError(f"leg.{number}.steps", f"{fault} {within}; {join_names(cures)} would do")
+    where = f"leg.{number}.steps"
+    if cures:
+        raise InputError(where, f"{fault} {within}; {join_names(cures)} would do")
+    most = f"neither up to {longest} steps nor up to {MAX_CONTROL_FACTOR} times the control"
+    nearer = "targets that are nearer, or a larger model.max_speed_m_s, may do"
+    raise InputError(where, f"{fault} {within}; {most} is found to be enough; {nearer}")
 
 
-def find_least_steps(
-    where: str, departure: Departure, targets_after: Callable[[int], Float[Array, "targets n"]]
-) -> int:
+class _Search:
+    """Search for what is enough, within a budget: what is not decided does not count as enough."""
+
+    def __init__(self, departure: Departure, targets_after: TargetsAfter, seconds: float) -> None:
+        self.departure, self.targets_after = departure, targets_after
+        self.budget = Budget(seconds)
+        self.bounds = cache(lambda steps: bound_controls(departure, targets_after(steps), steps))
+
+    def is_enough(self, steps: float, factor: float = 1.0, trusts_bounds: bool = False) -> bool:
+        steps, departure = int(steps), self.departure
+        try:
+            self.budget.spend_on_model(departure, steps)
+            own = steps, factor, self.bounds, self.budget
+            return find_stranded(departure, self.targets_after(steps), *own) is None
+        except Undecided as undecided:
+            return trusts_bounds and undecided.is_too_large
+
+
+def find_least_steps(where: str, departure: Departure, targets_after: TargetsAfter) -> int:
     """Find the least number of steps in which each vehicle can arrive, without the others.
 
-    A search by bisection: with one step less some vehicle cannot.
+    A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
+    that it can.
 
     Args:
         where: Key of the steps, for the error.
@@ -88,16 +143,15 @@ def find_least_steps(
     Raises:
         InputError: No number of steps is enough.
     """
-
-    def is_enough(steps: float) -> bool:
-        targets = targets_after(int(steps))
-        return find_stranded(departure, targets, int(steps)) is None
-
-    longest = _longest(departure, targets_after(1))
+    search, longest = (
+        _Search(departure, targets_after, AUTOMATIC_TIME),
+        _longest(departure, targets_after(1)),
+    )
+    is_enough = partial(search.is_enough, trusts_bounds=True)
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:
-        reason = f"no time of up to {longest} steps is enough for all to reach targets"
-        raise InputError(where, f"{reason}; a larger model.max_control_m_s2 would do")
+        reason = f"no time of up to {longest} steps is found to be enough for all to reach targets"
+        raise InputError(where, f"{reason}; a larger model.max_control_m_s2 or max_speed_m_s may do")
     return int(least)
 
 
@@ -126,30 +180,35 @@ def find_stranded(
     targets: Float[Array, "targets n"],
     steps: int,
     factor: float = 1.0,
-    bounds: Callable[[int], Array] | None = None,
+    bounds: Callable[[int], ControlBounds] | None = None,
+    budget: Budget | None = None,
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
 
     The factor is of all limits of the control.
 
     Bounds decide most pairs. Of the others, transfers are solved one by one, as far as an
-    assignment depends on them, up to `MAX_SOLVES`; beyond, they are taken as possible.
+    assignment depends on them, and as the budget allows.
+
+    Raises:
+        Undecided: More of them would be needed.
     """
-    is_short, least = steps <= MAX_ENERGY_STEPS, None
+    budget = budget or Budget(CHECK_TIME)
+    is_short, given = steps <= MAX_ENERGY_STEPS, None
     if not are_at_rest(departure, targets):
         if is_short and is_surely_reached(departure, targets, steps, factor):
             return None
-        least = (bounds or partial(bound_controls, departure, targets))(steps)
+        given = (bounds or partial(bound_controls, departure, targets))(steps)
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
     possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
     for rows in group_alike(departure, factor):
-        part, own = departure.select(rows), None if least is None else least[rows]
+        part, own = departure.select(rows), None if given is None else given.select(rows)
         possible[rows], sure[rows] = bound_reach(part, targets, steps, factor, own)
     if departure.mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
         possible, sure = possible & is_own, sure & is_own
-    solves = 0
+    has_many = departure.mission.assignment != "given" and is_too_large(possible, steps)
     while True:
         none = np.flatnonzero(~possible.any(axis=1))
         if len(none) > departure.lost:
@@ -160,16 +219,15 @@ def find_stranded(
         if (left := find_unmatched(possible)).sum() > spare:
             why = "for the others need all that it can reach,"
             return f"{names[np.flatnonzero(left)[0]]} is left without a target, {why}"
+        if has_many and given is not None:
+            raise Undecided(is_too_large=True)
         doubt = np.where(sure, 0, np.where(possible, 1, 1 + len(agents)))
         pairs = np.transpose(linear_sum_assignment(doubt)).tolist()
         if spare > departure.lost:  # some share targets, and each has to reach one
             pairs += [(i, int(possible[i].argmax())) for i in unsure]
         for i, j in pairs:
             if possible[i, j] and not sure[i, j]:
-                if solves == MAX_SOLVES:
-                    return None
-                one = departure.select(np.array([i]))
-                possible[i, j] = sure[i, j] = can_transfer(one, targets[j], steps, factor)
-                solves += 1
+                alone = departure.select(np.array([i]))
+                possible[i, j] = sure[i, j] = budget.solve(alone, targets[j], steps, factor)
                 if not possible[i].any():
                     break

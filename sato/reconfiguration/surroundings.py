@@ -112,7 +112,7 @@ class Surroundings(NamedTuple):
         own = float(mission.own_clearances(clearance, np.array([agent]))[0])
         is_ball = mission.separation_axes is None
         keeps = np.where(is_ball, own + self.thickness, own)
-        keeps[self.is_wall] = own - mission.radii[agent] + mission.largest_separation
+        keeps[self.is_wall] = own - mission.radius(agent) + mission.largest_separation
         of_lost = mission.own_clearances(clearance, self.vehicle[self.is_lost])
         keeps[self.is_lost] = (own + of_lost) / 2
         return paths._replace(clearance=keeps).select(rows)
