@@ -21,9 +21,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.orbit import OrbitStates, Vectors, lvlh_rates
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LVLH:
     """LVLH coordinate frame of the chief at one instant or at many.
@@ -105,6 +107,7 @@ class LVLH:
         return part.reshape(part.shape[:instants] + (1,) * agents + part.shape[instants:])
 
 
+@checked
 def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     """Convert inertial states to polar-nodal elements.
 
@@ -127,6 +130,7 @@ def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     return np.stack([r, radial, h, node, np.arctan2(tilt, normal[..., 2]), latitude], axis=-1)
 
 
+@checked
 def inertial_state(chief: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     """Convert polar-nodal elements to inertial states."""
     r, v_x, h = (part[..., None] for part in np.moveaxis(chief[..., :3], -1, 0))

@@ -171,8 +171,8 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     if hasattr(hint, "dim_str"):
         return _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
-        each = [make_check(part, numbers) for part in parts if part is not type(None)]
-        return _check_union(each, type(None) in parts)
+        others = [part for part in parts if part not in (type(None), Symbol)]
+        return _check_union([make_check(part, numbers) for part in others], parts)
     if origin is Literal:
         return _check_literal(parts)
     if hint in (float, int):
@@ -211,6 +211,7 @@ def _read_number(value: Any) -> Any:
 def _check_number(kind: type, numbers: Numbers) -> Check:
     words = {int: "an integer", float: "a number" if numbers.allow.infinite else "a finite number"}
 
+    is_positive = any(getattr(mark, "gt", None) == 0 for mark in numbers.limits)
     is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
@@ -221,7 +222,9 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
             number = float(number) if abs(number) <= LARGEST else np.nan
         if not numbers.admit(number):
             return None
-        return number if kind is int and is_bounded else check_range(kind(number))
+        if kind is int and is_bounded:
+            return number
+        return check_range(kind(number)) if is_positive or abs(number) > 1 else kind(number)
 
     return _simple(words[kind] + numbers.words(), convert)
 
@@ -259,14 +262,14 @@ def _check_literal(values: tuple[Any, ...]) -> Check:
     return _simple(join_names(map(format_value, values)), convert)
 
 
-def _check_union(checks: list[Check | None], is_optional: bool) -> Check | None:
+def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | None:
     if None in checks:
         return None
     each = [check for check in checks if check is not None]
 
     def convert(value: Any, sizes: Sizes) -> Any:
-        if value is None and is_optional:
-            return None
+        if type(value) in kinds and isinstance(value, Symbol | None):
+            return value
         for check in each:
             try:
                 return check.convert(value, sizes)
@@ -361,10 +364,12 @@ def _read_array(value: Any, kinds: str, dtype: Any) -> Any:
 
 
 def _has_symbols(value: Any) -> bool:
-    if is_symbolic(value):
+    if is_symbolic(value) or isinstance(value, Symbol):
         return True
     is_array = type(value) is Array and value.dtype == object
-    return is_array and all(isinstance(entry, Symbol | float) for entry in value.ravel())
+    return is_array and all(
+        isinstance(entry, Symbol | float | int) or is_symbolic(entry) for entry in value.ravel()
+    )
 
 
 def describe(value: Any) -> str:

@@ -16,6 +16,7 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.symbols import Number, Numbers
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
@@ -43,6 +44,7 @@ class LVLHRates(NamedTuple):
     alpha_z: Scalars
 
 
+@checked
 @dataclass(frozen=True)
 class Orbit:
     """Orbit about the Earth, given by its osculating state at time 0.

@@ -8,7 +8,10 @@ Values are in SI units everywhere; other units exist only in the keys of scenari
 from math import pi
 from typing import Annotated, NamedTuple
 
+from dynamics.doors import checked
 
+
+@checked
 class Unit(NamedTuple):
     """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s²."""
 
