@@ -61,7 +61,7 @@ class DiscreteModel:
     def array_sizes(self) -> dict[str, Any]:
         """Sizes of the axes of states and controls, and of agents with matrices of their own."""
         (*agents, _, n, m) = self.B.shape
-        return {"n": n, "m": m} | ({"agents": tuple(agents)} if agents else {})
+        return {"n": n, "m": m} | ({"*agents": tuple(agents)} if agents else {})
 
     @cached_property
     def is_double_integrator(self) -> bool:

@@ -97,9 +97,9 @@ def _fit_one(size: int, dim: str, found: dict[str, Any]) -> bool:
 
 
 def _fit_many(shape: tuple[int, ...], dim: str, found: dict[str, Any]) -> bool:
-    name = dim.lstrip("*#")
-    if name == "...":
+    if dim == "...":
         return True
+    name = "*" + dim.lstrip("*#")  # not to be mistaken for the size of one axis
     known = found.setdefault(name, shape)
     if "#" not in dim:
         return bool(known == shape)
@@ -244,7 +244,7 @@ def _check_class(kind: type) -> Check:
         if not isinstance(value, kind):
             raise InputError("", f"must be {wanted}, got {describe(value)}")
         for name, size in getattr(value, "array_sizes", {}).items():
-            if sizes.known.setdefault(name, size) != size:
+            if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
                 expected = f"must have {name} = {sizes.known[name]} as the others"
                 raise InputError("", f"{expected}, got {name} = {size}")
         return value
@@ -329,6 +329,7 @@ def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
 
 def _check_array(hint: Any, numbers: Numbers) -> Check:
     kinds, dtype, name = ARRAYS.get(hint.dtypes[0], ("iuf", float, "finite numbers"))
+    takes_both = dtype is float and "complex64" in hint.dtypes
     if kinds == "iuf" and (numbers.allow.nan or numbers.allow.infinite):
         name = "real numbers"
     dims, takes_symbols = hint.dim_str.split(), "object_" in hint.dtypes
@@ -339,12 +340,14 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         if takes_symbols and _has_symbols(value):
             return value
-        is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
-        array = value if is_plain else _read_array(value, kinds, dtype)
+        is_complex = takes_both and np.iscomplexobj(value)
+        own = ARRAYS["complex64"][:2] if is_complex else (kinds, dtype)
+        is_plain = type(value) is Array and value.dtype == own[1] and value.flags.c_contiguous
+        array = value if is_plain else _read_array(value, *own)
         is_fit = array is not None and sizes.fit(array.shape, dims)
-        if not is_fit or (dtype in (float, complex) and not numbers.admit(array)):
+        if not is_fit or (dtype is not bool and not numbers.admit(array)):
             raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")
-        if dtype is float:
+        if array.dtype == float:
             check_range(array[np.isfinite(array)])
         if sizes.keeps_arrays:
             array = array.copy() if array is value and array.flags.writeable else array
