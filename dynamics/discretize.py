@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.inputs import InputError
 from dynamics.model import (
     FlownControls,
     FlownStates,
@@ -92,6 +93,8 @@ class DiscreteModel:
         Args:
             shares: Units of the controls, of each axis.
         """
+        if self.B.ndim > 3:
+            raise InputError("agent", "each agent has matrices; for_agent(i).respond() would do")
         T, n, m = self.B.shape
         R = np.zeros((T + 1, n, T * m))
         for k in range(T):

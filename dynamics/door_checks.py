@@ -187,7 +187,7 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
         return _check_list(make_check(parts[0], numbers))
     kind = origin or hint
-    return _check_class(kind) if isinstance(kind, type) and kind is not object else None
+    return _check_class(kind) if isinstance(kind, type) and kind not in (object, Any) else None
 
 
 def _simple(wanted: str, convert: Callable[[Any], Any]) -> Check:
@@ -329,7 +329,8 @@ def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
 
 def _check_array(hint: Any, numbers: Numbers) -> Check:
     kinds, dtype, name = ARRAYS.get(hint.dtypes[0], ("iuf", float, "finite numbers"))
-    takes_both = dtype is float and "complex64" in hint.dtypes
+    if "complex64" in hint.dtypes:
+        kinds = "iufc"
     if kinds == "iuf" and (numbers.allow.nan or numbers.allow.infinite):
         name = "real numbers"
     dims, takes_symbols = hint.dim_str.split(), "object_" in hint.dtypes
@@ -340,10 +341,8 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         if takes_symbols and _has_symbols(value):
             return value
-        is_complex = takes_both and np.iscomplexobj(value)
-        own = ARRAYS["complex64"][:2] if is_complex else (kinds, dtype)
-        is_plain = type(value) is Array and value.dtype == own[1] and value.flags.c_contiguous
-        array = value if is_plain else _read_array(value, *own)
+        is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
+        array = value if is_plain else _read_array(value, kinds, dtype, takes_symbols)
         is_fit = array is not None and sizes.fit(array.shape, dims)
         if not is_fit or (dtype is not bool and not numbers.admit(array)):
             raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")
@@ -357,10 +356,14 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
     return Check(wanted, convert)
 
 
-def _read_array(value: Any, kinds: str, dtype: Any) -> Any:
+def _read_array(value: Any, kinds: str, dtype: Any, takes_objects: bool) -> Any:
     if not (hasattr(value, "__len__") or hasattr(value, "__array__")):
         return None
+    if takes_objects and type(value) is Array and value.dtype == object:
+        value = value.tolist()  # numbers beside symbols
     array = read_array(value, kinds)
+    if dtype is float and array.dtype.kind == "c":
+        return array
     if dtype is bool and not ((array == 0) | (array == 1)).all():
         return None
     return array.astype(dtype)
@@ -370,9 +373,7 @@ def _has_symbols(value: Any) -> bool:
     if is_symbolic(value) or isinstance(value, Symbol):
         return True
     is_array = type(value) is Array and value.dtype == object
-    return is_array and all(
-        isinstance(entry, Symbol | float | int) or is_symbolic(entry) for entry in value.ravel()
-    )
+    return is_array and any(isinstance(v, Symbol) or is_symbolic(v) for v in value.ravel())
 
 
 def describe(value: Any) -> str:

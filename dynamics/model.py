@@ -140,6 +140,9 @@ class LinearModel(Model):
         Args:
             times: Times [s].
         """
+        if not len(times):
+            n, d = 2 * self.axes, self.axes
+            return np.zeros((0, n, n)), np.zeros((0, n, d)), np.zeros((0, n))
         each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
         A, B, z = (np.array(part) for part in zip(*each, strict=True))
         return A, B, z

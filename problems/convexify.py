@@ -8,7 +8,7 @@ normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -48,6 +48,11 @@ class AvoidanceHorizon:
     clearance: Annotated[float, Gt(0)]
     scale: tuple[Annotated[float, Gt(0)], ...] | None = None
     samples_only: bool = False
+
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of space, states and controls."""
+        return {**self.discrete_model.array_sizes, "d": self.discrete_model.axes}
 
     def with_clearance(self, clearance: Annotated[float, Gt(0)]) -> "AvoidanceHorizon":
         """Return the horizon of a vehicle with another clearance."""

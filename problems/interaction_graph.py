@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.units import Key, Length
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
 
@@ -82,6 +83,8 @@ def cosine_ramp_and_slope(x: Numbers, low: float, high: float) -> tuple[Numbers,
 
 
 def _ramp_phase(x: Numbers, low: float, high: float) -> Numbers:
+    if not low < high:
+        raise InputError("high", f"must be above {low}, where the ramp begins, got {high}")
     return pi * (np.minimum(np.maximum(x, low), high) - low) / (high - low)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 from annotated_types import Gt
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError, format_value, join_names
 from problems.conic import (
     TOLERANCE,
     ConicProgram,
@@ -38,6 +39,8 @@ class VerifiedSolver:
         self, name: str = DEFAULT_SOLVER, tolerance: Annotated[float, Gt(0)] = TOLERANCE
     ) -> None:
         """Choose a solver, and the tolerance of its answers: residuals and gap, relative."""
+        if name != DEFAULT_SOLVER and name not in (known := load_adapters()):
+            raise InputError("name", f"must be {join_names(known)}, got {format_value(name)}")
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None
         self.fallback_count = 0  # programs that were given to the default solver
