@@ -29,6 +29,7 @@ class Allow(NamedTuple):
 
 
 MAY_BE_NAN, MAY_BE_INFINITE = Allow(nan=True), Allow(infinite=True)
+ANY_NUMBER = Allow(nan=True, infinite=True)
 
 
 def checked(target: Target) -> Target:
