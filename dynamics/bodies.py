@@ -11,7 +11,7 @@ EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
 EARTH_RADIUS = 6378136.6  # at the equator [m]
 EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
-FROM_MU = float("nan")  # default of what follows from mu; known by identity, other NaN are wrong
+FROM_MU: Any = None  # default of what follows from mu
 SAME_BODY = 1e-3  # relative difference of two gravitational parameters of one body, at most
 
 
@@ -60,10 +60,10 @@ def complete_gravity(value: Any) -> None:
     if not 0 < mu < inf:
         raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     body = find_body(mu)
-    radius = body.radius if radius in (FROM_MU, None) else radius
-    if k in (FROM_MU, None) and body is UNKNOWN:
+    radius = body.radius if radius is None else radius
+    if k is None and body is UNKNOWN:
         raise ValueError(f"k_J2: {NO_BODY.format(mu)}")
-    k = oblateness(body.J2, mu, radius or body.radius) if k in (FROM_MU, None) else k
+    k = oblateness(body.J2, mu, radius or body.radius) if k is None else k
     if k == oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS) and body not in (EARTH, UNKNOWN):
         raise ValueError(f"k_J2: {k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
     if not (isfinite(k) and 0 <= radius < inf):

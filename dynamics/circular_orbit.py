@@ -14,11 +14,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.bodies import EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.doors import check_methods, checked
 from dynamics.model import LinearModel
 from dynamics.orbit import K_J2, Orbit, Vectors, validate_inclination
 from dynamics.symbols import Number
 
 
+@check_methods
 class CircularOrbitModel(LinearModel):
     """Linear model of relative motion about a circular orbit.
 
@@ -88,6 +90,7 @@ class CircularOrbitModel(LinearModel):
         return velocity
 
 
+@checked
 @dataclass(frozen=True)
 class ClohessyWiltshire(CircularOrbitModel):
     """Clohessy–Wiltshire equations [Clohessy1960].
@@ -134,6 +137,7 @@ class ClohessyWiltshire(CircularOrbitModel):
         return self.n
 
 
+@checked
 @dataclass(frozen=True)
 class SchweighartSedwick(CircularOrbitModel):
     """Clohessy–Wiltshire equations with the J2 gradient averaged over the orbit [Schweighart2002].

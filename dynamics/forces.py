@@ -8,9 +8,11 @@ from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.bodies import EARTH, EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.doors import checked
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
 
+@checked
 @dataclass(frozen=True)
 class Forces:
     """Two-body gravity, J2, and drag where there is an atmosphere.

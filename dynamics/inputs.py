@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
+LARGEST = 1e30  # of a number, whose products are then far from the end of doubles
+SMALLEST = 1e-30  # other than 0
+LARGEST_COUNT = 10**9
+
 
 class InputError(ValueError):
     """Wrong input: a mission that cannot be flown, or an argument that a function cannot take.
@@ -57,25 +61,86 @@ def format_value(value: object) -> str:
     return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"
 
 
+def shorten(value: Any) -> str:
+    """Write a value as `repr` does, but arrays by their shapes and long tuples by their sizes."""
+    if isinstance(value, Array):
+        return f"<array of shape {value.shape}>"
+    if isinstance(value, tuple) and len(value) > 3 and not hasattr(value, "_fields"):
+        return f"<{len(value)} values>"
+    return repr(value)
+
+
+def short_repr(value: Any) -> str:
+    """Write a dataclass or a named tuple as `repr` does, its fields by `shorten`."""
+    names = getattr(value, "_fields", None) or value.__dataclass_fields__
+    parts = (f"{name}={shorten(getattr(value, name))}" for name in names)
+    return f"{type(value).__qualname__}({', '.join(parts)})"
+
+
 def as_array(value: Any, ndim: int) -> Array:
     """Convert to a read-only array of finite doubles.
 
     Raises:
         InputError: It is masked, complex or not numeric, has other axes, or is not finite.
     """
+    array = read_array(value)
+    if array.ndim != ndim or array.size == 0:
+        raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
+    check_finite(array := array.astype(float))
+    array.flags.writeable = False
+    return array
+
+
+def read_array(value: Any, kinds: str = "iuf") -> Array:
+    """Convert to a new array, of any shape.
+
+    Args:
+        value: Array, numbers, or nested lists of numbers.
+        kinds: Kinds of numbers that are wanted, as `numpy.dtype.kind` has them.
+
+    Raises:
+        InputError: It is masked, has rows of several lengths, or numbers of another kind.
+    """
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
+    wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
+    if value is None or isinstance(value, str | bytes | dict | type):
+        raise InputError("", f"must be an array of {wanted}, got {format_value(value)}")
     try:
         array = np.array(value, order="C")
     except ValueError as error:
         raise InputError("", "must have rows of one length") from error
-    if array.dtype.kind not in "iuf":
-        raise InputError("", f"must be an array of real numbers, got dtype {array.dtype}")
-    if array.ndim != ndim or array.size == 0:
-        raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
-    array = array.astype(float)
+    except Exception as error:  # whatever the methods of an object raise that is no array
+        raise InputError("", f"must be an array, got {format_value(value)}") from error
+    if array.dtype.kind not in kinds and array.size:
+        raise InputError("", f"must be an array of {wanted}, got dtype {array.dtype}")
+    return array
+
+
+def check_finite(array: Array) -> None:
+    """Refuse an array that is not finite, and say where."""
     if not np.isfinite(array).all():
         where = np.argwhere(~np.isfinite(array))[0].tolist()
         raise InputError("", f"must be finite, got {array[tuple(where)]} at {where}")
-    array.flags.writeable = False
-    return array
+
+
+def check_range(value: Any) -> Any:
+    """Refuse numbers that are too large or too small to compute with; return all others.
+
+    Entries of lists and arrays may be as small as they like.
+    """
+    if isinstance(value, int):
+        if abs(value) > LARGEST_COUNT:
+            raise InputError("", f"must be at most {LARGEST_COUNT:g}, got {format_value(value)}")
+    elif isinstance(value, float):
+        if np.isfinite(value) and value and not SMALLEST <= abs(value) <= LARGEST:
+            limits = f"0, or between {SMALLEST:g} and {LARGEST:g} in size"
+            raise InputError("", f"must be {limits}, got {format_value(value)}")
+        return value + 0.0  # no −0.0, whose sign would count
+    elif isinstance(value, tuple):
+        for part in value:
+            if not isinstance(part, float) or abs(part) > SMALLEST:
+                check_range(part)
+    elif isinstance(value, Array) and value.dtype.kind == "f" and value.size:
+        check_range(max(float(np.abs(value).max()), SMALLEST))
+    return value

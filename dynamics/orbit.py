@@ -9,10 +9,11 @@ equatorial orbits too.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, hypot, inf, isfinite, pi, sin, sqrt
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -21,6 +22,8 @@ from dynamics.bodies import EARTH_MU as EARTH_MU
 from dynamics.bodies import EARTH_RADIUS as EARTH_RADIUS
 from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
 from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.symbols import Number, Numbers
 
 K_J2 = oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS)  # of the Earth [m⁵/s²]
@@ -30,6 +33,7 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
+MAX_TIME = 1e8  # three years; longer ones would be integrated for minutes [s]
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
 
@@ -43,6 +47,7 @@ class LVLHRates(NamedTuple):
     alpha_z: Scalars
 
 
+@checked
 @dataclass(frozen=True)
 class Orbit:
     """Orbit about a planet or moon, by default the Earth, given by its state at time 0.
@@ -95,7 +100,7 @@ class Orbit:
         raan: float = 0.0,
         arg_perigee: float = 0.0,
         true_anomaly: float = 0.0,
-        mu: float = EARTH_MU,
+        mu: Annotated[float, Gt(0)] = EARTH_MU,
         k_J2: float = FROM_MU,
         body_radius: float = FROM_MU,
     ) -> "Orbit":
@@ -163,8 +168,12 @@ class Orbit:
 
             return symbolic_elements(self, times)
         times = np.asarray(t, dtype=float)
-        if not (np.isfinite(times).all() and (times >= 0).all()):
-            raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
+        if not ((times >= 0) & (times <= MAX_TIME)).all():
+            wrong = times[~((times >= 0) & (times <= MAX_TIME))].flat[0]
+            raise InputError(
+                "t",
+                f"the chief's orbit is known from time 0 on, to {MAX_TIME:.0e} s, got {wrong} s",
+            )
         elements = np.empty((*times.shape, 6))
         segment = (times // SEGMENT_DURATION).astype(int)
         for j in range(int(segment.max(initial=0))):

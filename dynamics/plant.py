@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 
 from dynamics.callbacks import Callback, as_shape, guard
 from dynamics.discretize import discretize_zoh
+from dynamics.doors import check_methods, checked
 from dynamics.inputs import InputError
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
 from dynamics.orbit import Orbit
@@ -22,6 +23,7 @@ ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
 ROUNDING = 1e-9  # of the first states of a user's own plant, relative and in SI units
 
 
+@check_methods
 class Plant(ABC):
     """Motion of all agents under controls that are held.
 
@@ -81,6 +83,7 @@ _CALLBACKS = {
 }
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LinearPlant(Plant):
     """Agents that move exactly as a linear model says.
@@ -101,6 +104,7 @@ class LinearPlant(Plant):
         return np.moveaxis(steps.simulate(x, held), 1, 0)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class NonlinearPlant(Plant):
     """Agents that move exactly as a nonlinear model says, all in one integration.

@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.bodies import find_body
 from dynamics.coordinate_frames import radius_and_momentum
+from dynamics.doors import checked
 from dynamics.forces import Forces
 
 MIN_RTOL = 2.3e-14  # SciPy replaces smaller values by this one, with a warning
@@ -32,6 +33,7 @@ class Impact(RuntimeError):
         self.time = time
 
 
+@checked
 def propagate(
     state: Float[Array, "agents 6"],
     times: Float[Array, " instants"],
@@ -108,6 +110,8 @@ def integrate_orbits(
 
     altitude.terminal = True  # type: ignore[attr-defined]  # as SciPy asks for
     settings = {"rtol": rtol, "atol": atol, "first_step": first_step, "events": altitude}
+    if not times[-1]:  # the initial time alone
+        return y0[None].copy()
     span = 0.0, float(times[-1])
     solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, **settings)
     if solution.status == 1:

@@ -11,14 +11,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from math import ceil, inf
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.closest_approach import closest_approaches
-from dynamics.discretize import discretize_zoh
-from dynamics.model import ControlSamples, LinearModel, StateSamples
+from dynamics.discretize import MAX_STEPS, discretize_zoh
+from dynamics.doors import checked
+from dynamics.inputs import InputError
+from dynamics.model import LinearModel
 from dynamics.trajectory_geometry import hull_distance
 from problems.centralized_nlp import (
     MIN_DISTANCE,
@@ -46,6 +50,11 @@ ITERATIONS_BEFORE_PADDING = 3  # after which the required distance is padded for
 MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations are padded at once
 
 
+Positive = Annotated[float, Gt(0)]
+AgentControls = Float[Array, "agents T m"]
+
+
+@checked
 @dataclass(frozen=True, eq=False)
 class CentralizedProblem:
     """Joint transfers of all agents without collisions.
@@ -79,7 +88,7 @@ class CentralizedProblem:
     transfer: TransferProblem
     horizon: AvoidanceHorizon
     own_transfers: tuple[TransferProblem, ...] = ()
-    clearances: Float[Array, " agents"] | None = None
+    clearances: Annotated[Float[Array, " agents"], Gt(0)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse fuel without derivatives, and what is inconsistent."""
@@ -90,6 +99,9 @@ class CentralizedProblem:
                 'derivative where a control is 0; fuel_norm = 1, "inf" or objective = "energy" '
                 "would do"
             )
+        count = len(self.own_transfers)
+        if self.clearances is not None and len(self.clearances) != (count or len(self.clearances)):
+            raise InputError("clearances", f"must be {count}, as own_transfers")
         shared = _shared_by_agents(self.transfer)
         for i, own in enumerate(self.own_transfers):
             if own.model is not self.transfer.model or _shared_by_agents(own) != shared:
@@ -103,17 +115,24 @@ class CentralizedProblem:
                 f"and {len(self.transfer.model)}"
             )
 
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of states, controls, steps and, where they differ, agents."""
+        each = self.own_transfers or (() if self.clearances is None else self.clearances)
+        is_known = self.own_transfers or self.clearances is not None
+        return self.transfer.array_sizes | ({"agents": len(each)} if is_known else {})
+
     @classmethod
     def from_model(
         cls,
         model: LinearModel,
-        step: float,
-        steps: int,
-        collision_radius: float,
-        max_control: float,
-        max_speed: float = inf,
+        step: Positive,
+        steps: Annotated[int, Ge(1), Le(MAX_STEPS)],
+        collision_radius: Positive,
+        max_control: Positive,
+        max_speed: Positive = inf,
         objective: Objective = "fuel",
-        pieces: int = 4,
+        pieces: Annotated[int, Ge(1), Le(1000)] = 4,
     ) -> "CentralizedProblem":
         """Discretize a model from time 0 on.
 
@@ -195,7 +214,7 @@ class CentralizedProblem:
         return self._program.build((start, goal), guess, instants)
 
     def simulate(
-        self, start: AgentStates, goal: AgentStates, u: ControlSamples, solver_message: str
+        self, start: AgentStates, goal: AgentStates, u: AgentControls, solver_message: str
     ) -> SimulatedSolution:
         """Simulate the controls and compute all violations.
 
@@ -222,7 +241,7 @@ class CentralizedProblem:
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
         return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
 
-    def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
+    def count_conflicts(self, x: Float[Array, "agents instants n"], u: AgentControls) -> int:
         """Count the pairs that come too close on given trajectories.
 
         Args:

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
 from math import isqrt
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, tril, triu
+
+from dynamics.doors import ANY_NUMBER, checked
 
 TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
 RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
@@ -20,7 +23,10 @@ ConeType = Literal["linear", "second-order", "semidefinite"]
 Status = Literal["solved", "infeasible", "stopped"]
 Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
+AnyNumber = Annotated[float, ANY_NUMBER]  # also NaN, of a solver that fails
 
+
+@checked
 @dataclass(frozen=True, eq=False)
 class ConicProgram:
     """Linear or convex quadratic cost over a product of cones.
@@ -49,8 +55,8 @@ class ConicProgram:
     q: Float[Array, " n"]
     A: csc_array
     b: Float[Array, " m"]
-    zero: int
-    nonnegative: int
+    zero: Annotated[int, Ge(0)]
+    nonnegative: Annotated[int, Ge(0)]
     soc_sizes: tuple[int, ...] = ()
     psd_orders: tuple[int, ...] = ()
     P: csc_array | None = None
@@ -77,6 +83,11 @@ class ConicProgram:
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
         if self.P is not None:
             _check_convex(self.P, len(self.q))
+
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of points and of rows."""
+        return {"n": len(self.q), "m": len(self.b)}
 
     @cached_property
     def hessian(self) -> csc_array:
@@ -230,27 +241,38 @@ def _max_or_nan(numbers: Sequence[float | np.floating]) -> float:
     return float(np.max(np.array(numbers)))
 
 
+@checked
 class SolverResult(NamedTuple):
     """Result as a solver reports it, not yet verified."""
 
     status: Status
     message: str  # the solver's own
-    x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
-    y: Float[Array, " m"] | None = None  # its duals, or the ray that certifies infeasibility
+    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = (
+        None  # a point; also where it stopped with one
+    )
+    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = (
+        None  # its duals, or the ray that certifies infeasibility
+    )
     iterations: int | None = None
 
 
+@checked
 class ConicSolution(NamedTuple):
     """Primal and dual point, with residuals recomputed from their numbers."""
 
-    x: Float[Array, " n"]
-    y: Float[Array, " m"]  # duals, with P x + q + Aᵀy = 0 and y in the dual cone
-    primal_residual: float  # distance of b − A x from the cone, relative
-    dual_residual: float  # of P x + q + Aᵀy from zero and of y from the dual cone, relative
-    gap: float  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
+    x: Annotated[Float[Array, " n"], ANY_NUMBER]
+    y: Annotated[Float[Array, " m"], ANY_NUMBER]  # duals: P x + q + Aᵀy = 0, y in the dual cone
+    primal_residual: AnyNumber  # distance of b − A x from the cone, relative
+    dual_residual: AnyNumber  # of P x + q + Aᵀy from zero and y from the dual cone, relative
+    gap: AnyNumber  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
 
     @classmethod
-    def evaluate(cls, problem: ConicProgram, x: Array, y: Array) -> "ConicSolution":
+    def evaluate(
+        cls,
+        problem: ConicProgram,
+        x: Annotated[Float[Array, " n"], ANY_NUMBER],
+        y: Annotated[Float[Array, " m"], ANY_NUMBER],
+    ) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
         curvature = problem.hessian @ x
@@ -306,7 +328,10 @@ class Verification(NamedTuple):
     ray: Float[Array, " m"] | None = None  # the verified certificate of infeasibility
 
 
-def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Verification:
+@checked
+def verify(
+    problem: ConicProgram, result: SolverResult, tolerance: Annotated[float, Gt(0)]
+) -> Verification:
     """Recompute residuals, gap and certificates of a solver's result.
 
     The verdict is *solved* for a point with residuals and gap within the tolerance, even where
@@ -341,7 +366,10 @@ def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Ver
     return Verification(kind, found, reason)
 
 
-def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
+@checked
+def verify_ray(
+    problem: ConicProgram, ray: Annotated[Float[Array, " m"], ANY_NUMBER]
+) -> tuple[Float[Array, " m"], str]:
     """Check a certificate of infeasibility.
 
     Args:

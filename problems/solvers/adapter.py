@@ -4,14 +4,17 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from dynamics.callbacks import call, is_own
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
 from problems.solvers.own import OwnSession
 
@@ -34,6 +37,7 @@ def accept_all(problem: ConicProgram) -> str:
     return ""
 
 
+@checked
 @dataclass(frozen=True)
 class SolverAdapter:
     """Solver, and the way to call it.
@@ -136,7 +140,10 @@ def make_result(
     return SolverResult(status, message, x, y, iterations)
 
 
-def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
+@checked
+def lower_bounds(
+    b: Vector, zero: Annotated[int, Ge(0)], infinity: float = np.inf
+) -> Float[Array, " m"]:
     """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 
     Args:
@@ -144,6 +151,8 @@ def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array,
         zero: Number of equations; they come first.
         infinity: Number that the library takes for infinite.
     """
+    if zero > len(b):
+        raise InputError("zero", f"must be at most {len(b)}, got {zero}")
     return np.concatenate([b[:zero], np.full(len(b) - zero, -infinity)])
 
 

@@ -2,8 +2,13 @@
 
 import warnings
 from collections.abc import Callable
+from typing import Annotated
+
+from annotated_types import Gt
 
 from dynamics.callbacks import CallbackError, is_strict
+from dynamics.doors import checked
+from dynamics.inputs import InputError, format_value, join_names
 from problems.conic import (
     TOLERANCE,
     ConicProgram,
@@ -23,6 +28,7 @@ from problems.solvers.clarabel import ADAPTERS
 ASKED = 1e-2  # of the tolerance: many solvers scale residuals by larger numbers
 
 
+@checked
 class VerifiedSolver:
     """Solver chosen by name; programs on which it fails are given to the default solver.
 
@@ -34,13 +40,15 @@ class VerifiedSolver:
     def __init__(
         self,
         name: str = DEFAULT_SOLVER,
-        tolerance: float = TOLERANCE,
+        tolerance: Annotated[float, Gt(0)] = TOLERANCE,
         errors: list[str] | None = None,
     ) -> None:
         """Choose a solver, and the tolerance of its answers: residuals and gap, relative.
 
         Of solvers that share a list of errors, the first error of all is warned of.
         """
+        if name != DEFAULT_SOLVER and name not in (known := load_adapters()):
+            raise InputError("name", f"must be {join_names(known)}, got {format_value(name)}")
         self._errors = [] if errors is None else errors  # of solvers of the user's own
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None

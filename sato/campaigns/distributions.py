@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from numpy.random import Generator
 
+from dynamics.inputs import LARGEST_COUNT
 from sato.scenario.definition import Definition, Field, NotNegative
 from sato.scenario.errors import InputError
-from sato.scenario.ranges import LARGEST_COUNT
 from sato.scenario.table import choose, read_table
 
 

@@ -124,7 +124,9 @@ class RecordedStick(Stick):
             reason = f"must increase from one to the next, got {before:.12g} and then {after:.12g}"
             raise InputError("times_s", reason)
         if abs(self.times[0]) >= MILLISECONDS:
-            reason = f"begins at {self.times[0]:.4g} s, which are milliseconds or less of some clock"
+            reason = (
+                f"begins at {self.times[0]:.4g} s, which are milliseconds or less of some clock"
+            )
             raise InputError("times_s", f"{reason}; times in seconds would do")
 
     def draw(self, leader: Vector3, rng: np.random.Generator) -> "RecordedStick":

@@ -9,6 +9,7 @@ From the annotations come the check at construction, the keys with their units, 
 of keys in the documentation, the messages of errors, and equality by value.
 """
 
+import inspect
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
@@ -31,6 +32,7 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, 
 
 from dynamics.callbacks import Callback, guard
 from dynamics.inputs import as_array as as_array
+from dynamics.inputs import shorten
 from dynamics.model import Model
 from dynamics.plant import Plant
 from dynamics.units import Key as Key
@@ -59,6 +61,38 @@ class Inline(NamedTuple):
     """Mark of a field whose own keys stand in the same table, as those of a model do."""
 
 
+class Words(str):
+    """Annotation that a signature shows as it is."""
+
+    __repr__ = str.__str__
+
+
+class ShortSignature:
+    """Signature of a definition as `help` shows it: names, short types and defaults."""
+
+    def __get__(self, instance: Any, owner: Any) -> inspect.Signature:
+        """Shorten the signature of a class, and of its constructor, which stands below."""
+        if "__dataclass_fields__" not in vars(owner):
+            raise AttributeError("a class without fields has no signature of its own")
+        long = inspect.signature(owner.__init__)
+        short = {field.name: Words(_type_words(field.hint)) for field in fields_of(owner)}
+        parameters = [
+            p.replace(annotation=short.get(p.name, p.empty)) for p in long.parameters.values()
+        ]
+        owner.__init__.__signature__ = long.replace(parameters=parameters)
+        return long.replace(parameters=parameters[1:], return_annotation=long.empty)
+
+
+def _type_words(hint: Any) -> str:
+    origin, parts = get_origin(hint), [part for part in get_args(hint) if part is not Ellipsis]
+    if origin is Literal:
+        return " | ".join(map(repr, parts))
+    words = list(dict.fromkeys(map(_type_words, parts[:1] if origin is Annotated else parts)))
+    if origin is tuple:
+        return f"tuple[{', '.join(words)}, ...]"
+    return " | ".join(words) or ("None" if hint is type(None) else hint.__name__)
+
+
 class Definition:
     """Base of frozen dataclasses that check their fields and compare by value.
 
@@ -71,6 +105,8 @@ class Definition:
     def __init_subclass__(cls) -> None:
         """Check methods of the user's own."""
         guard(cls, cls.callbacks)
+
+    __signature__ = ShortSignature()
 
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""
@@ -109,7 +145,7 @@ class Definition:
     def __repr__(self) -> str:
         """Show the fields that are not at their defaults."""
         shown = [
-            f"{field.name}={_short(value)}"
+            f"{field.name}={shorten(value)}"
             for field in fields_of(type(self))
             if not _equal(value := getattr(self, field.name), field.default)
         ]
@@ -307,11 +343,3 @@ def _state_of(value: Model | Plant) -> dict[str, Any]:
     # What it was made of, without what was computed from that; two without attributes are equal.
     cached = [n for n in vars(value) if isinstance(getattr(type(value), n, None), cached_property)]
     return {name: part for name, part in vars(value).items() if name not in cached}
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, Array):
-        return f"<array of shape {value.shape}>"
-    if isinstance(value, tuple) and len(value) > 3 and not is_named_tuple(type(value)):
-        return f"<{len(value)} values>"
-    return repr(value)

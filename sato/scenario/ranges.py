@@ -5,39 +5,11 @@ from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy import ndarray as Array
+from dynamics.inputs import check_range as check_range
+from sato.scenario.errors import InputError
 
-from sato.scenario.errors import InputError, format_value
-
-LARGEST = 1e30  # of a number, whose products are then far from the end of doubles
-SMALLEST = 1e-30  # other than 0
-LARGEST_COUNT = 10**9
 CONTROL_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
-
-
-def check_range(value: Any) -> Any:
-    """Refuse numbers that are too large or too small to compute with; return all others.
-
-    Entries of lists and arrays may be as small as they like.
-    """
-    if isinstance(value, int):
-        if abs(value) > LARGEST_COUNT:
-            raise InputError("", f"must be at most {LARGEST_COUNT:g}, got {format_value(value)}")
-    elif isinstance(value, float):
-        if np.isfinite(value) and value and not SMALLEST <= abs(value) <= LARGEST:
-            limits = f"0, or between {SMALLEST:g} and {LARGEST:g} in size"
-            raise InputError("", f"must be {limits}, got {format_value(value)}")
-        return value + 0.0  # no −0.0, whose sign would count
-    elif isinstance(value, tuple):
-        for part in value:
-            if not isinstance(part, float) or abs(part) > SMALLEST:
-                check_range(part)
-    elif isinstance(value, Array) and value.dtype.kind == "f" and value.size:
-        check_range(max(float(np.abs(value).max()), SMALLEST))
-    return value
 
 
 def check_memory(agents: int, demand: Callable[[int], float]) -> None:

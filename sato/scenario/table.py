@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.inputs import LARGEST
 from dynamics.units import SUFFIXES
 from sato.scenario.definition import (
     Field,
@@ -18,7 +19,6 @@ from sato.scenario.definition import (
     map_numbered,
 )
 from sato.scenario.errors import InputError, closest_name, format_value, join_names
-from sato.scenario.ranges import LARGEST
 
 OWN = "own"  # kind of a value of the user's own
 _SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}

@@ -1,0 +1,110 @@
+"""Doors: public functions and classes check their arguments by the annotations.
+
+    @checked
+    def simulate(x: Float[Array, "agents n"], dt: Annotated[float, Gt(0)]) -> ...
+
+A caller outside these packages may give lists for arrays and NumPy's numbers for numbers;
+anything else is refused with an `InputError` that names the argument, what it must be, and what
+it is. Axes of one name have one size in all arguments of a call. Calls within the packages are not
+checked again, and cost nothing.
+"""
+
+import inspect
+import sys
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, NamedTuple, TypeVar, cast
+
+from dynamics.inputs import short_repr
+
+Target = TypeVar("Target", bound=Callable[..., Any])
+INSIDE = "dynamics.", "problems.", "sato."
+
+
+class Allow(NamedTuple):
+    """Mark of an annotation: numbers that need not be finite, NaN for what is absent or ∞."""
+
+    nan: bool = False
+    infinite: bool = False
+
+
+MAY_BE_NAN, MAY_BE_INFINITE = Allow(nan=True), Allow(infinite=True)
+ANY_NUMBER = Allow(nan=True, infinite=True)
+
+
+def checked(target: Target) -> Target:
+    """Check the arguments of a function, or of a class and its public methods.
+
+    An object with a property `array_sizes` gives the sizes of axes by name, to its own methods
+    and to functions that take it.
+    """
+    if not isinstance(target, type):
+        return cast(Target, _wrap(target))
+    owner: Any = target
+    if hasattr(owner, "_fields") or "__dataclass_fields__" in vars(owner):
+        owner.__repr__ = short_repr
+    if hasattr(owner, "_fields"):  # a named tuple
+        owner.__new__ = staticmethod(_wrap(owner.__new__, is_constructor=True))
+    elif "__init__" in vars(owner):
+        owner.__init__ = _wrap(owner.__init__, is_constructor=True)
+    check_methods(owner)
+    return target
+
+
+def check_methods(owner: type) -> type:
+    """Check the arguments of the public methods of a class, but not of its constructor."""
+    for name, member in list(vars(owner).items()):
+        if name.startswith("_") and name not in ("__call__", "__getitem__"):
+            continue
+        if inspect.isfunction(member):
+            setattr(owner, name, _wrap(member, is_method=True))
+        elif isinstance(member, classmethod | staticmethod):
+            inner = _wrap(member.__func__, is_method=isinstance(member, classmethod))
+            setattr(owner, name, type(member)(inner))
+    return owner
+
+
+def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) -> Any:
+    @wraps(function)
+    def enter(*args: Any, **kwargs: Any) -> Any:
+        frame = sys._getframe(1)
+        if frame.f_globals.get("__name__") == "dataclasses":  # `replace`
+            frame = frame.f_back or frame
+        if frame.f_globals.get("__name__", "").startswith(INSIDE):
+            return function(*args, **kwargs)
+        try:
+            given = _signature(function).bind(*args, **kwargs)
+        except TypeError:
+            return function(*args, **kwargs)  # Python says which argument is missing
+        _check_call(function, given, int(is_method or is_constructor), is_constructor)
+        return function(*given.args, **given.kwargs)
+
+    return enter
+
+
+@cache
+def _signature(function: Any) -> inspect.Signature:
+    return inspect.signature(function)
+
+
+def _check_call(
+    function: Any, given: inspect.BoundArguments, skipped: int, keeps_arrays: bool
+) -> None:
+    # Imported where a check is needed, which a command and a flight do not.
+    from dynamics.door_checks import Sizes, check_entry, checks_of
+
+    owner = next(iter(given.arguments.values())) if skipped else None
+    is_instance = skipped and not keeps_arrays and not isinstance(owner, type)
+    sizes = Sizes(getattr(owner, "array_sizes", {}) if is_instance else {}, keeps_arrays)
+    checks, parameters = checks_of(function), given.signature.parameters
+    for name, value in list(given.arguments.items())[skipped:]:
+        if (check := checks.get(name)) is None:
+            continue
+        many = parameters[name].kind
+        if many is inspect.Parameter.VAR_POSITIONAL:
+            found: Any = tuple(check_entry(name, check, entry, sizes) for entry in value)
+        elif many is inspect.Parameter.VAR_KEYWORD:
+            found = {key: check_entry(key, check, entry, sizes) for key, entry in value.items()}
+        else:
+            found = check_entry(name, check, value, sizes)
+        given.arguments[name] = found
