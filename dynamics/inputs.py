@@ -9,6 +9,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
+# What a value with units or labels has, and would lose as an array of NumPy.
+MARKS = "unit", "units", "columns", "dims", "colnames", "column_names", "iloc"
+PLAIN = {int, float, bool, str, type(None)}
+
 
 class InputError(ValueError):
     """Wrong input: a mission that cannot be flown, or an argument that a function cannot take.
@@ -57,6 +61,13 @@ def format_value(value: object) -> str:
     return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"
 
 
+def is_marked(value: Any) -> bool:
+    """Tell whether a value has units or labels, which an array of NumPy would lose."""
+    if isinstance(value, list | tuple):
+        return not set(map(type, value)) <= PLAIN and any(map(is_marked, value))
+    return type(value) not in PLAIN and any(hasattr(value, mark) for mark in MARKS)
+
+
 def as_array(value: Any, ndim: int) -> Array:
     """Convert to a read-only array of finite doubles.
 
@@ -65,6 +76,9 @@ def as_array(value: Any, ndim: int) -> Array:
     """
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
+    if is_marked(value):
+        cure = "its plain numbers in SI units would do"
+        raise InputError("", f"has units or labels, which an array loses; {cure}")
     try:
         array = np.array(value, order="C")
     except ValueError as error:

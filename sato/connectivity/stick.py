@@ -1,6 +1,7 @@
 """Operator's stick: velocity commands to the leader over time."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -8,9 +9,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.units import Key, Length, Speed, Time, Unit
+from sato.scenario.csv_file import read_columns
 from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError
 
+COLUMNS = {"t": "s", "vx": "m_s", "vy": "m_s", "vz": "m_s"}  # of a recording
 MAX_TURN = 1.0  # between two drawn legs [rad]
 Vector3 = Float[Array, " 3"]
 
@@ -111,11 +114,9 @@ class RecordedStick(Definition):
         if self.file is None:
             return self
         try:
-            table = np.loadtxt(self.file, delimiter=",", ndmin=2, encoding="utf-8")
-            if table.shape[1] != 4:
-                raise ValueError("needs rows of time, v_x, v_y, v_z; in s and m/s")
-            return RecordedStick(table[:, 0], table[:, 1:])
-        except (OSError, ValueError) as error:
+            time, *velocity = read_columns(Path(self.file), "commands", COLUMNS, (4,))[0].values()
+            return RecordedStick(time, np.stack(velocity, axis=1))
+        except ValueError as error:
             raise InputError("file", f'"{self.file}" cannot be read: {error}') from error
 
     @property

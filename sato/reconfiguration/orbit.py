@@ -17,7 +17,7 @@ from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.j2 import invariant_velocity
 from dynamics.orbit import EARTH_J2, EARTH_MU, EARTH_RADIUS, Orbit
 from dynamics.units import Unit
-from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
+from sato.scenario.definition import TURNS, Coordinates, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 
 MAX_J2 = 0.05  # about where J2 would no longer be a small part of gravity; the Earth's is 0.001
@@ -60,9 +60,11 @@ class Chief(Definition):
     semi_major_axis: Annotated[float | None, Unit("m"), Positive, "semi-major axis"] = None
     eccentricity: Annotated[float | None, NotNegative, "eccentricity"] = None
     inclination: Annotated[float | None, Unit("rad"), "inclination"] = None
-    node: Annotated[float | None, Unit("rad"), "right ascension of the ascending node"] = None
-    perigee: Annotated[float | None, Unit("rad"), "argument of perigee"] = None
-    anomaly: Annotated[float | None, Unit("rad"), "true anomaly"] = None
+    node: Annotated[float | None, Unit("rad"), TURNS, "right ascension of the ascending node"] = (
+        None
+    )
+    perigee: Annotated[float | None, Unit("rad"), TURNS, "argument of perigee"] = None
+    anomaly: Annotated[float | None, Unit("rad"), TURNS, "true anomaly"] = None
     position: Annotated[Coordinates | None, Unit("m"), "inertial position"] = None
     velocity: Annotated[Coordinates | None, Unit("m_s"), "inertial velocity"] = None
     radius: Annotated[float | None, Unit("m"), "distance from the Earth's center"] = None
@@ -200,6 +202,8 @@ class Chief(Definition):
             )
         if not 0 <= i <= pi:
             message = f"must be between 0 and 180 degrees, got {degrees(i):.6g}"
+            if i > pi:
+                message += f", or {i:.6g} rad; {i:.6g} degrees are np.radians({i:.6g})"
             raise InputError("inclination_rad", message)
 
     def _check_state(self, position: Sequence[float], velocity: Sequence[float]) -> None:
