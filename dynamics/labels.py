@@ -128,7 +128,7 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
         return _stack(*table, units or dict.fromkeys(names, unit))
     numbers, has_unit = _strip(value, unit)
     if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):
-        cure = "Points(positions, velocities) would do"
+        cure = "plain numbers, in m and m/s, would do"
         raise InputError("", f"has one unit for positions and velocities; {cure}")
     return numbers
 

@@ -16,6 +16,7 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.quantities import read_number, to_si
 from dynamics.symbols import Number, Numbers
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
@@ -30,6 +31,8 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
+ELEMENTS = "r", "v_x", "h", "raan", "inclination", "arg_latitude"
+ELEMENT_UNITS = "m", "m_s", "m2_s", "rad", "rad", "rad"
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
 
@@ -72,6 +75,8 @@ class Orbit:
 
     def __post_init__(self) -> None:
         """Check that the state is on an ellipse above the Earth."""
+        for name, unit in zip(ELEMENTS, ELEMENT_UNITS, strict=True):
+            object.__setattr__(self, name, to_si(getattr(self, name), unit))
         elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0 and self.mu > 0
         if not is_positive or not all(map(isfinite, elements)):
             raise ValueError(
@@ -108,6 +113,12 @@ class Orbit:
         Raises:
             ValueError: This is not an ellipse, or the perigee is inside the Earth.
         """
+        semi_major_axis = read_number("semi_major_axis", semi_major_axis, "m")
+        eccentricity = read_number("eccentricity", eccentricity, "")
+        inclination = read_number("inclination", inclination, "rad")
+        raan = read_number("raan", raan, "rad")
+        arg_perigee = read_number("arg_perigee", arg_perigee, "rad")
+        true_anomaly = read_number("true_anomaly", true_anomaly, "rad")
         validate_ellipse(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)

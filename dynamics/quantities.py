@@ -53,6 +53,19 @@ def to_si(value: Any, unit: str) -> Any:
     return numbers if np.ndim(numbers) else numbers.item()
 
 
+def read_number(name: str, value: Any, unit: str) -> Any:
+    """Return an argument in SI units, converted by `to_si`; an angle is within two turns.
+
+    Raises:
+        InputError: It is another quantity, or such an angle; it names the argument.
+    """
+    try:
+        number = to_si(value, unit)
+        return check_turns(number) if unit == "rad" else number
+    except InputError as error:
+        raise error.inside(name) from error
+
+
 def check_turns(angle: Any) -> Any:
     """Return an angle, or an array of angles, within two turns; a larger one is in degrees.
 

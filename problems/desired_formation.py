@@ -10,6 +10,8 @@ from numpy import ndarray as Array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 
+from dynamics.labels import to_plain
+
 FLATNESS_TOLERANCE = 0.01  # half the range of heights that counts as flat [m]
 MAX_COORDINATE = 1e9  # squares must not overflow, and rounding must stay below a meter [m]
 COINCIDENCE_TOLERANCE = 1e-9  # of the extent: points closer than this coincide
@@ -103,7 +105,7 @@ def _kernel_basis(column: Array, extent: float) -> Array:
 
 
 def _as_points(value: Any) -> Array:
-    points = _as_matrix(value, "points")
+    points = _as_matrix(to_plain(value, "m"), "points")
     if points.dtype.kind not in "iuf" or points.shape[1:] != (3,):
         found = f"an array of shape {points.shape} of {points.dtype}"
         raise ValueError(f"points must be rows of three real numbers [m], got {found}")
@@ -111,7 +113,7 @@ def _as_points(value: Any) -> Array:
 
 
 def _as_graph(value: Any) -> Array:
-    graph = _as_matrix(value, "the graph")
+    graph = _as_matrix(to_plain(value, ""), "the graph")
     if graph.dtype.kind not in "biu" or not ((graph == 0) | (graph == 1)).all():
         raise ValueError("the graph must be a matrix of True and False, or of 1 and 0")
     return graph.astype(bool, copy=False)

@@ -27,6 +27,7 @@ from sato.run_data import RunData
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.scenario.origin import Origin
+from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
 from sato.systems import load_system
 
@@ -160,7 +161,7 @@ def run(
     scenario: Scenario,
     *,
     seed: int = 0,
-    overrides: Iterable[str] = (),
+    overrides: Iterable[Setting] | Mapping[str, Any] = (),
     progress: bool | FrameCallback | None = None,
     processes: Literal["lock-step", "free-running"] | None = None,
     port: int | None = None,
@@ -176,7 +177,8 @@ def run(
         scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
             file.
         seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: Each "table.key=value"; not with a mission.
+        overrides: Each "table.key=value", or a pair of key and value, or a dict of these; not
+            with a mission.
         progress: True shows a progress bar; a function is called with the drawn mission and
             each frame.
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
@@ -188,7 +190,7 @@ def run(
         ValueError: The scenario cannot be flown; nothing was.
     """
     began = perf_counter()
-    overrides = overrides if isinstance(overrides, str) else tuple(overrides)
+    overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
@@ -220,19 +222,19 @@ def run(
         return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))
 
 
-def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
+def simulate(scenario: Scenario, seed: int = 0, overrides: Any = ()) -> Iterator[Frame]:
     """Fly a mission and yield its frames one by one.
 
     Args:
         scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
             file.
         seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: Each "table.key=value"; not with a mission.
+        overrides: As of `run`.
 
     Raises:
         ValueError: The scenario cannot be flown.
     """
-    mission, drawn, rng = _draw(scenario, seed, overrides)
+    mission, drawn, rng = _draw(scenario, seed, list_settings(overrides))
     frames = load_system(mission.system).simulate(drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
@@ -264,7 +266,9 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
         raise record.RunFileError(f"{path}: {reason}") from error
 
 
-def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, Any, Generator]:
+def _draw(
+    scenario: object, seed: Any, overrides: tuple[Setting, ...]
+) -> tuple[Any, Any, Generator]:
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_integer or not 0 <= seed < 2**64:
         raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
@@ -275,7 +279,7 @@ def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, A
     elif not isinstance(scenario, Mission):
         got = f"an object of type {type(scenario).__name__}"
         raise InputError("scenario", f"must be a name, a path, a mission or a dict, got {got}")
-    elif tuple(overrides):
+    elif overrides:
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:
         mission = scenario

@@ -22,6 +22,11 @@ NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf)", re.IGNORECA
 WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
 
+WORDS = re.compile(r"[\s,;]+")
+OTHER_AXES = re.compile(
+    r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along\w*|cross\w*|[nedurts]", re.IGNORECASE
+)
+
 Row = tuple[int, list[str]]  # number of the line, and its cells
 
 
@@ -102,12 +107,16 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
         if not rows:
             raise ValueError(f"{path} lists no {content}")
     notes = [line.lstrip("# \t") for n, line in given if n < rows[0][0] and _is_comment(line)]
-    for cells in [cells for note in notes for cells in (_split(note, between), _words(note))]:
-        if len(cells) == width and all(cell in SUFFIXES for cell in cells):
-            cure = "they stand in the names of the columns, as in x_km"
-            raise ValueError(f"{path}: units have a line of their own; {cure}")
-        is_header = len(cells) == width and any(knows_name(cell, units) for cell in cells)
-        names = cells if is_header and names is None else names
+    for note in notes:
+        for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
+            if len(cells) != width or width == 1:
+                continue
+            if all(cell in SUFFIXES for cell in cells):
+                cure = "they stand in the names of the columns, as in x_km"
+                raise ValueError(f"{path}: units have a line of their own; {cure}")
+            is_known = any(knows_name(cell, units) for cell in cells)
+            if names is None and (is_list or is_known or all(map(OTHER_AXES.fullmatch, cells))):
+                names = cells
     return names, _with_points(path, rows)
 
 
@@ -121,10 +130,6 @@ def _split(line: str, between: str) -> list[str]:
     while len(cells) > 1 and not cells[-1]:  # of a separator at the end
         cells.pop()
     return cells
-
-
-def _words(line: str) -> list[str]:
-    return re.findall(r"[^\s,;()\[\]]+", line)
 
 
 def _with_points(path: Path, rows: list[Row]) -> list[Row]:

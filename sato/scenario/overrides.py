@@ -1,12 +1,15 @@
 """`--set table.key=value`: change a scenario before it is checked."""
 
+import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from sato.scenario.definition import Field, fields_of
-from sato.scenario.errors import InputError, join_names
+from sato.scenario.errors import InputError, format_value, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
 Path = tuple[str | int, ...]
@@ -30,6 +33,51 @@ class Spot(NamedTuple):
 
 
 Setting = str | tuple[str, Any]
+
+
+def list_settings(overrides: Any) -> tuple[Setting, ...]:
+    """List overrides, texts or pairs of key and value, or a dict of these.
+
+    Raises:
+        InputError: They are something else.
+    """
+    if isinstance(overrides, str):
+        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
+        raise InputError("overrides", reason)
+    if not isinstance(overrides, Iterable):
+        reason = "must be a list of texts, or a dict of keys and values"
+        raise InputError("overrides", f"{reason}, got {format_value(overrides)}")
+    settings = overrides.items() if isinstance(overrides, Mapping) else overrides
+    return tuple(map(_check_setting, settings))
+
+
+def _check_setting(setting: Any) -> Setting:
+    if isinstance(setting, str):
+        return setting
+    if isinstance(setting, tuple | list) and len(setting) == 2 and isinstance(setting[0], str):
+        return setting[0], setting[1]
+    reason = f'must have "table.key=value", or key and value, got {format_value(setting)}'
+    raise InputError("overrides", reason)
+
+
+def write_value(value: Any) -> str:
+    """Write a value of a setting as TOML, in one line.
+
+    Raises:
+        InputError: TOML has no such value.
+    """
+    if isinstance(value, dict):
+        rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
+        return f"{{{rows}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(write_value, value))}]"
+    if isinstance(value, np.generic) or type(value) is np.ndarray:
+        return write_value(value.tolist())
+    if isinstance(value, bool | str | int):
+        return json.dumps(value)
+    if isinstance(value, float):
+        return repr(value)
+    raise InputError("", f"must be a number, text, list or table, got {format_value(value)}")
 
 
 def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:

@@ -213,7 +213,7 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     where = f"between agents {i} and {j} in step {k}"
     if is_relative:
         sampled, limit = _least_relative(record), 1.0
-        what = "(R_i + R_j)/2" if mission.separation_axes is None else "the ellipsoid"
+        what = "(R_i + R_j)/2" if mission.ellipsoid is None else "the ellipsoid"
         text = f"of {what} {where}, 1 allowed"
     else:
         sampled, limit = sampled_separations(frames.position, frames.alive).min(), radius
