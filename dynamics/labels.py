@@ -29,6 +29,9 @@ NAMES = {  # velocities first: "x_dot" is no x in the unit "dot"
     ID: rf"(?:(?:{_BODY})[_ .]?)?(?:id|index|idx|number|no)|{_BODY}|unnamed: 0|",
 }
 AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", re.IGNORECASE)
+OTHER_AXES = re.compile(
+    r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
+)
 TABLES = "column_names", "colnames", "columns"  # of pyarrow, astropy, polars
 WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
 
@@ -151,9 +154,14 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
             return name, parse_unit(unit, units[name]) if unit else None
         except InputError as error:
             raise InputError("", f'column "{given}" {error}') from error
+    if OTHER_AXES.fullmatch(plain.split("_")[0]):
+        cure = "x, y and z in the axes of the mission would do"
+        raise InputError(
+            "", f'column "{given}" is of other axes than those of this library; {cure}'
+        )
     known = join_names((ID, *units), "and")
-    cure = "rename or drop it"
-    raise InputError("", f'column "{given}" is not known, {known} are, as x or x_km; {cure}')
+    cure = "without it, or with one of these names, it would do"
+    raise InputError("", f'column "{given}" is not known, {known} are, as in x or x_km; {cure}')
 
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
@@ -247,8 +255,8 @@ def _strip(value: Any, unit: str) -> tuple[Any, bool]:
         plain = value.data
     elif hasattr(value, "to_numpy"):
         plain = value.to_numpy()
-    elif hasattr(value, "quantity") and value.unit is not None:  # a column of astropy
-        plain = value.quantity
+    elif hasattr(value, "quantity"):  # a column of astropy
+        plain = np.asarray(value) if value.unit is None else value.quantity
     numbers = to_si(plain, unit)
     declared = getattr(value, "attrs", {}).get("units")
     if declared is None or numbers is not plain:

@@ -31,8 +31,8 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
-ELEMENTS = "r", "v_x", "h", "raan", "inclination", "arg_latitude"
-ELEMENT_UNITS = "m", "m_s", "m2_s", "rad", "rad", "rad"
+ELEMENT_UNITS = {"r": "m", "v_x": "m_s", "h": "m2_s", "mu": "m3_s2", "k_J2": "m5_s2"}
+ELEMENT_UNITS |= dict.fromkeys(("raan", "inclination", "arg_latitude"), "rad")
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
 
@@ -75,7 +75,7 @@ class Orbit:
 
     def __post_init__(self) -> None:
         """Check that the state is on an ellipse above the Earth."""
-        for name, unit in zip(ELEMENTS, ELEMENT_UNITS, strict=True):
+        for name, unit in ELEMENT_UNITS.items():
             object.__setattr__(self, name, to_si(getattr(self, name), unit))
         elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0 and self.mu > 0
         if not is_positive or not all(map(isfinite, elements)):
@@ -119,6 +119,7 @@ class Orbit:
         raan = read_number("raan", raan, "rad")
         arg_perigee = read_number("arg_perigee", arg_perigee, "rad")
         true_anomaly = read_number("true_anomaly", true_anomaly, "rad")
+        mu, k_J2 = read_number("mu", mu, "m3_s2"), read_number("k_J2", k_J2, "m5_s2")
         validate_ellipse(semi_major_axis, eccentricity)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)

@@ -79,10 +79,10 @@ def check_turns(angle: Any) -> Any:
     return angle
 
 
-def _split(value: Any) -> tuple[Array, Powers] | None:
+def _split(value: Any) -> tuple[Any, Powers] | None:
     """Split a quantity into numbers in SI base units and their exponents; None for others."""
     if isinstance(value, timedelta) or getattr(getattr(value, "dtype", 0), "kind", "") == "m":
-        return np.asarray(value, "m8[ns]") / np.timedelta64(1, "s"), {"s": 1}
+        return np.asarray(value, "m8[ns]") / np.timedelta64(1, "s"), {"s": 1.0}
     packages = {kind.__module__.split(".")[0] for kind in type(value).__mro__}
     if hasattr(value, "unit_items") and "pint" in packages:
         root = value.to_root_units()
@@ -107,7 +107,7 @@ def _powers(unit: str) -> Powers:
         return {"s": -1.0}
     powers = {}
     for place, part in enumerate(filter(None, unit.split("_"))):
-        name = part.rstrip("23")
+        name = part.rstrip("0123456789")
         powers[name] = float(part[len(name) :] or 1) * (-1 if place else 1)
     return powers
 
@@ -119,4 +119,4 @@ def _article(noun: str) -> str:
 def _format(value: Any) -> str:
     is_scalar = np.ndim(getattr(value, "magnitude", getattr(value, "value", value))) == 0
     unit = getattr(value, "units", getattr(value, "unit", ""))
-    return str(value) if is_scalar else f"an array in {unit}"
+    return str(value) if is_scalar else f"an array in {str(unit) or 'no unit'}"

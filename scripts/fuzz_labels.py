@@ -574,9 +574,8 @@ def main() -> int:
                     with contextlib.suppress(Exception), contextlib.redirect_stderr(io.StringIO()):
                         case.read()
             wrong += counts["wrong"]
-            print(
-                f"{kind:12} {counts['read']:5} read {counts['refused']:5} refused {counts['wrong']:4} wrong"
-            )
+            row = (f"{counts[what]:5} {what}" for what in ("read", "refused", "wrong"))
+            print(f"{kind:12} {' '.join(row)}")
     return int(wrong > 0)
 
 

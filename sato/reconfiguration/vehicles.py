@@ -239,7 +239,7 @@ def _check_ellipsoid(mission: Any) -> None:
             ", ".join(f"{a:.6g}" for a in row) for row in (ratios, [R * a for a in ratios])
         )
         reason = f"are ratios to collision_radius_m = {R:g}, one of them 1: {axes} keep {kept} m"
-        cure = f"separation_axes_m = [{axes}] keeps {axes} m"
+        cure = f"separation_axes_m = [{axes}], in Python separation_semi_axes, keeps {axes} m"
         raise InputError(where, f"{reason}; {cure}")
 
 

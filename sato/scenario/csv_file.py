@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.labels import ID, Units, knows_name, match_columns, sort_rows
+from dynamics.labels import ID, OTHER_AXES, Units, knows_name, match_columns, sort_rows
 from dynamics.units import SUFFIXES
 from sato.scenario.errors import InputError, join_names
 
@@ -23,9 +23,6 @@ WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
 
 WORDS = re.compile(r"[\s,;]+")
-OTHER_AXES = re.compile(
-    r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along\w*|cross\w*|[nedurts]", re.IGNORECASE
-)
 
 Row = tuple[int, list[str]]  # number of the line, and its cells
 
@@ -55,17 +52,9 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
         needed = f"{join_names(counts)} columns are needed, or a header such as {header}"
         raise ValueError(f"{path}, line {rows[0][0]}: {needed}, got {len(rows[0][1])}")
     width = len(names or rows[0][1])
-    for line, cells in rows:
-        found = ", ".join(cells)
-        if len(cells) != width:
-            raise ValueError(f"{path}, line {line}: {width} columns are needed, got {len(cells)}")
-        if not all(map(NUMBER.fullmatch, cells)):
-            hint = f"a first line may name the columns, {','.join(units)}"
-            raise ValueError(f"{path}, line {line}: not numbers: {found} ({hint})")
-    values = np.array([cells for _, cells in rows]).astype(float)
-    lines = np.array([line for line, _ in rows])
     try:
         places = match_columns(names or list(units)[:width], units)
+        values, lines = _read_numbers(path, rows, width, units)
         columns = {name: values[:, i] * (factor or 1.0) for name, (i, factor) in places.items()}
         if ID in columns:
             numbers = columns.pop(ID)
@@ -74,6 +63,20 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
     except InputError as error:
         raise ValueError(f"{path}: {error}") from error
     return Table(columns, lines)
+
+
+def _read_numbers(
+    path: Path, rows: list[Row], width: int, units: Units
+) -> tuple[Float[Array, "k c"], Int[Array, " k"]]:
+    for line, cells in rows:
+        where = f"{path}, line {line}"
+        if len(cells) != width:
+            raise ValueError(f"{where}: {width} columns are needed, got {len(cells)}")
+        if not all(map(NUMBER.fullmatch, cells)):
+            hint = f"a first line may name the columns, {','.join(units)}"
+            raise ValueError(f"{where}: not numbers: {', '.join(cells)} ({hint})")
+    values = np.array([cells for _, cells in rows]).astype(float)
+    return values, np.array([line for line, _ in rows])
 
 
 def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None, list[Row]]:
@@ -135,7 +138,7 @@ def _split(line: str, between: str) -> list[str]:
 def _with_points(path: Path, rows: list[Row]) -> list[Row]:
     # "1,5" may be a number where commas do not separate cells.
     listed = [cell for _, cells in rows for cell in cells]
-    if not any("," in cell for cell in listed):
+    if not any("," in cell for cell in listed) or re.search(r"[^\d.,e+-]", "".join(listed), re.I):
         return rows
     if not all(map(WITH_COMMA.fullmatch, listed)) or all(map(THOUSANDS.fullmatch, listed)):
         example = next(cell for cell in listed if "," in cell)
