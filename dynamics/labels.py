@@ -7,7 +7,7 @@ No package is imported: an object is known by its attributes.
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
@@ -32,32 +32,28 @@ AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", r
 OTHER_AXES = re.compile(
     r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
 )
-TABLES = "column_names", "colnames", "columns"  # of pyarrow, astropy, polars
+TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
 WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
 
 
-class Column(NamedTuple):
-    """Place of a column, and the size of its unit in SI units; None where its name has none."""
-
-    place: int
-    factor: float | None
-
-
-def match_columns(names: Sequence[Any], units: Units) -> dict[str, Column]:
+def match_columns(names: Sequence[Any], units: Units) -> dict[str, tuple[int, float | None]]:
     """Find the columns that names mean, in the order of the units.
 
     Positions are x and y, or x, y and z; all coordinates have a velocity, or none.
 
+    Returns:
+        Place of each column, and the unit of its name in SI units, None where it has none.
+
     Raises:
         InputError: A name is unknown, repeated or missing, or has a wrong unit.
     """
-    found: dict[str, Column] = {}
+    found: dict[str, tuple[int, float | None]] = {}
     for index, given in enumerate(names):
         meaning, factor = _parse_name(given, index, units)
         if meaning in found:
-            first = names[found[meaning].place]
+            first = names[found[meaning][0]]
             raise InputError("", f'columns "{first}" and "{given}" are the same; drop one')
-        found[meaning] = Column(index, factor)
+        found[meaning] = index, factor
     axes = AXES[: 3 if {"z", "vz"} & set(found) else 2]
     needed = [name for name in units if name == "t"]
     for prefix in ("", "v"):
@@ -154,14 +150,10 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
             return name, parse_unit(unit, units[name]) if unit else None
         except InputError as error:
             raise InputError("", f'column "{given}" {error}') from error
-    if OTHER_AXES.fullmatch(plain.split("_")[0]):
-        cure = "x, y and z in the axes of the mission would do"
-        raise InputError(
-            "", f'column "{given}" is of other axes than those of this library; {cure}'
-        )
+    is_other = OTHER_AXES.fullmatch(plain.split("_")[0])
+    reason = "is of other axes than those of a mission" if is_other else "is not known"
     known = join_names((ID, *units), "and")
-    cure = "without it, or with one of these names, it would do"
-    raise InputError("", f'column "{given}" is not known, {known} are, as in x or x_km; {cure}')
+    raise InputError("", f'column "{given}" {reason}; {known} are read, as x or x_km; leave it out')
 
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
@@ -179,11 +171,10 @@ def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
         return (labels, [value.isel({named[0]: i}) for i in range(len(labels))]) if named else None
     if hasattr(value, "iloc") and hasattr(value, "index"):  # of pandas
         return _split_frame(value)
-    marked = (getattr(value, mark, None) for mark in TABLES)
-    names = getattr(getattr(value, "dtype", None), "names", None) or next(
-        (names for names in marked if names and not callable(names)), None
-    )
-    return None if names is None else (list(names), [value[name] for name in names])
+    listed = getattr(value, "dtype", None), value, value, value
+    marked = (getattr(one, mark, None) for one, mark in zip(listed, TABLES, strict=True))
+    names = next((list(names) for names in marked if names and not callable(names)), None)
+    return None if names is None else (names, [value[name] for name in names])
 
 
 def _is_row(value: Any) -> bool:
@@ -238,6 +229,8 @@ def _stack(names: list[Any], columns: list[Any], units: Units) -> Array:
         try:
             numbers, has_unit = _strip(columns[place], units.get(name, ""))
             array = as_array(numbers, np.ndim(numbers))
+            if factor is not None and "units" in getattr(columns[place], "attrs", {}):
+                raise InputError("", "has a unit in its name and in its attrs; drop one")
         except InputError as error:
             raise InputError("", f'column "{names[place]}" {error}') from error
         read[name] = array * (1.0 if factor is None or has_unit else factor)
@@ -245,7 +238,7 @@ def _stack(names: list[Any], columns: list[Any], units: Units) -> Array:
         raise InputError("", "has columns of different lengths")
     numbers = read.pop(ID, None)
     rows = np.stack(list(read.values()), axis=-1)
-    return rows if numbers is None else sort_rows(rows, numbers)
+    return rows if numbers is None or rows.ndim == 1 else sort_rows(rows, numbers)
 
 
 def _strip(value: Any, unit: str) -> tuple[Any, bool]:

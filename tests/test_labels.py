@@ -222,6 +222,10 @@ def test_tables_are_read_by_their_names(table):
         (xr.DataArray(SQUARE, dims=("agent", "axis"), attrs={"units": "m/s"}), "has the unit"),
         ([{"x": 1.0, "y": 2.0}, {"x": 1.0}], "rows of the same names"),
         ({"x": [1.0], "y": [1.0, 2.0]}, "columns of different lengths"),
+        (
+            xr.DataArray(SQUARE, [("a", range(4)), ("axis", ["x_km", "y"])], attrs={"units": "m"}),
+            "unit in its name and in its attrs",
+        ),
     ],
 )
 def test_tables_that_cannot_be_obeyed_are_refused(table, message):

@@ -7,6 +7,7 @@ from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray as Array
 
 from sato.scenario.definition import Field, fields_of
 from sato.scenario.errors import InputError, format_value, join_names
@@ -44,20 +45,14 @@ def list_settings(overrides: Any) -> tuple[Setting, ...]:
     if isinstance(overrides, str):
         reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
         raise InputError("overrides", reason)
-    if not isinstance(overrides, Iterable):
-        reason = "must be a list of texts, or a dict of keys and values"
-        raise InputError("overrides", f"{reason}, got {format_value(overrides)}")
     settings = overrides.items() if isinstance(overrides, Mapping) else overrides
-    return tuple(map(_check_setting, settings))
-
-
-def _check_setting(setting: Any) -> Setting:
-    if isinstance(setting, str):
-        return setting
-    if isinstance(setting, tuple | list) and len(setting) == 2 and isinstance(setting[0], str):
-        return setting[0], setting[1]
-    reason = f'must have "table.key=value", or key and value, got {format_value(setting)}'
-    raise InputError("overrides", reason)
+    listed = list(settings) if isinstance(settings, Iterable) else [overrides]
+    for setting in listed:
+        is_pair = isinstance(setting, tuple | list) and len(setting) == 2
+        if not isinstance(setting[0] if is_pair else setting, str):
+            wanted = 'texts "table.key=value", or keys and values'
+            raise InputError("overrides", f"must be {wanted}, got {format_value(setting)}")
+    return tuple(one if isinstance(one, str) else (one[0], one[1]) for one in listed)
 
 
 def write_value(value: Any) -> str:
@@ -69,15 +64,12 @@ def write_value(value: Any) -> str:
     if isinstance(value, dict):
         rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
         return f"{{{rows}}}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(write_value, value))}]"
-    if isinstance(value, np.generic) or type(value) is np.ndarray:
-        return write_value(value.tolist())
-    if isinstance(value, bool | str | int):
-        return json.dumps(value)
-    if isinstance(value, float):
-        return repr(value)
-    raise InputError("", f"must be a number, text, list or table, got {format_value(value)}")
+    plain = value.tolist() if type(value) is Array or isinstance(value, np.generic) else value
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(map(write_value, plain))}]"
+    if not isinstance(plain, bool | str | int | float):
+        raise InputError("", f"must be a number, text, list or table, got {format_value(value)}")
+    return repr(plain) if isinstance(plain, float) else json.dumps(plain)
 
 
 def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
