@@ -15,7 +15,9 @@ from numpy import ndarray as Array
 
 from dynamics.model import LinearModel
 from dynamics.orbit import EARTH_MU, EARTH_RADIUS, K_J2, Orbit, Vectors, validate_inclination
+from dynamics.quantities import read_number
 from dynamics.symbols import Number
+from dynamics.units import Angle, AngularRate, Length
 
 
 class CircularOrbitModel(LinearModel):
@@ -105,10 +107,11 @@ class ClohessyWiltshire(CircularOrbitModel):
         ValueError: The mean motion is not positive and finite.
     """
 
-    n: float
+    n: AngularRate
 
     def __post_init__(self) -> None:
         """Check the mean motion."""
+        object.__setattr__(self, "n", read_number("n", self.n, "rad_s"))
         if not 0 < self.n < inf:
             raise ValueError(f"n: the mean motion must be positive and finite, got {self.n} rad/s")
 
@@ -161,13 +164,15 @@ class SchweighartSedwick(CircularOrbitModel):
         ValueError: A value is out of its range, or J2 is no small part of gravity.
     """
 
-    radius: float
-    inclination: float
+    radius: Length
+    inclination: Angle
     mu: float = EARTH_MU
     k_J2: float = K_J2
 
     def __post_init__(self) -> None:
         """Check the orbit, and that J2 is a small perturbation."""
+        for name, unit in (("radius", "m"), ("inclination", "rad")):
+            object.__setattr__(self, name, read_number(name, getattr(self, name), unit))
         validate_inclination(self.inclination)
         if not EARTH_RADIUS < self.radius < inf:
             raise ValueError(

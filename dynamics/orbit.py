@@ -9,7 +9,7 @@ equatorial orbits too.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, hypot, inf, isfinite, pi, sin, sqrt
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -18,6 +18,7 @@ from numpy import ndarray as Array
 
 from dynamics.quantities import read_number, to_si
 from dynamics.symbols import Number, Numbers
+from dynamics.units import Angle, Length, Speed, Unit
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
 EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
@@ -64,12 +65,12 @@ class Orbit:
         ValueError: The state is not on an ellipse, or the perigee is inside the Earth.
     """
 
-    r: float
-    v_x: float
-    h: float
-    raan: float
-    inclination: float
-    arg_latitude: float
+    r: Length
+    v_x: Speed
+    h: Annotated[float, Unit("m2_s")]
+    raan: Angle
+    inclination: Angle
+    arg_latitude: Angle
     mu: float = EARTH_MU
     k_J2: float = K_J2
 
@@ -89,12 +90,12 @@ class Orbit:
     @classmethod
     def from_elements(
         cls,
-        semi_major_axis: float,
+        semi_major_axis: Length,
         eccentricity: float = 0.0,
-        inclination: float = 0.0,
-        raan: float = 0.0,
-        arg_perigee: float = 0.0,
-        true_anomaly: float = 0.0,
+        inclination: Angle = 0.0,
+        raan: Angle = 0.0,
+        arg_perigee: Angle = 0.0,
+        true_anomaly: Angle = 0.0,
         mu: float = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
