@@ -87,7 +87,9 @@ class Flight(NamedTuple):
     @property
     def scale(self) -> Array:
         """Factors of a state that make a ball of the ellipsoid that two keep."""
-        axes = self.scenario["model"].get("separation_axes", [1.0] * self.axes)
+        axes = np.array(self.scenario["model"].get("separation_axes", [1.0] * self.axes))
+        if "separation_axes_m" in self.scenario["model"]:
+            axes = np.array(self.scenario["model"]["separation_axes_m"]) / self.radii[0]
         each = 1 / np.array([*axes, 1.0][:3])
         return np.concatenate([each, each])
 

@@ -18,6 +18,7 @@ from dynamics.doors import check_methods, checked
 from dynamics.model import LinearModel
 from dynamics.orbit import K_J2, Orbit, Vectors, validate_inclination
 from dynamics.symbols import Number
+from dynamics.units import Angle, AngularRate, Length
 
 
 @check_methods
@@ -109,7 +110,7 @@ class ClohessyWiltshire(CircularOrbitModel):
         ValueError: The mean motion is not positive and finite.
     """
 
-    n: float
+    n: AngularRate
 
     def __post_init__(self) -> None:
         """Check the mean motion."""
@@ -168,8 +169,8 @@ class SchweighartSedwick(CircularOrbitModel):
         ValueError: A value is out of its range, or J2 is no small part of gravity.
     """
 
-    radius: float
-    inclination: float
+    radius: Length
+    inclination: Angle
     mu: float = EARTH_MU
     k_J2: float = FROM_MU
     body_radius: float = FROM_MU

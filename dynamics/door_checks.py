@@ -25,7 +25,9 @@ from dynamics.inputs import (
     join_names,
     read_array,
 )
+from dynamics.labels import to_plain
 from dynamics.symbols import Symbol, is_symbolic
+from dynamics.units import Unit
 
 LIMITS: dict[type, tuple[str, str, Any]] = {
     annotated_types.Gt: ("gt", "above", operator.gt),
@@ -122,11 +124,14 @@ class Numbers(NamedTuple):
 
     allow: Allow = Allow()
     limits: tuple[Any, ...] = ()
+    unit: str = ""  # suffix of the SI unit
 
     def with_marks(self, marks: list[Any]) -> "Numbers":
         """Add the marks of an annotation."""
         allow = next((mark for mark in marks if isinstance(mark, Allow)), self.allow)
-        return Numbers(allow, (*self.limits, *(mark for mark in marks if type(mark) in LIMITS)))
+        limits = (*self.limits, *(mark for mark in marks if type(mark) in LIMITS))
+        unit = next((mark.suffix for mark in marks if isinstance(mark, Unit)), self.unit)
+        return Numbers(allow, limits, unit)
 
     def words(self) -> str:
         """Write the limits: " above 0 and at most 1"."""
@@ -215,7 +220,7 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
     is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
-        number = _read_number(value)
+        number = _read_number(to_plain(value, numbers.unit))
         if number is None or (kind is int and not isinstance(number, int)):
             return None
         if kind is float and isinstance(number, int):
@@ -342,7 +347,8 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
         if takes_symbols and _has_symbols(value):
             return value
         is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
-        array = value if is_plain else _read_array(value, kinds, dtype, takes_symbols)
+        plain = value if is_plain else to_plain(value, numbers.unit)
+        array = value if is_plain else _read_array(plain, kinds, dtype, takes_symbols)
         is_fit = array is not None and sizes.fit(array.shape, dims)
         if not is_fit or (dtype is not bool and not numbers.admit(array)):
             raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")

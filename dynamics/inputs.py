@@ -12,6 +12,9 @@ from numpy import ndarray as Array
 LARGEST = 1e30  # of a number, whose products are then far from the end of doubles
 SMALLEST = 1e-30  # other than 0
 LARGEST_COUNT = 10**9
+# What a value with units or labels has, and would lose as an array of NumPy.
+MARKS = "unit", "units", "columns", "dims", "colnames", "column_names", "iloc"
+PLAIN = {int, float, bool, str, type(None)}
 
 
 class InputError(ValueError):
@@ -77,6 +80,13 @@ def short_repr(value: Any) -> str:
     return f"{type(value).__qualname__}({', '.join(parts)})"
 
 
+def is_marked(value: Any) -> bool:
+    """Tell whether a value has units or labels, which an array of NumPy would lose."""
+    if isinstance(value, list | tuple):
+        return not set(map(type, value)) <= PLAIN and any(map(is_marked, value))
+    return type(value) not in PLAIN and any(hasattr(value, mark) for mark in MARKS)
+
+
 def as_array(value: Any, ndim: int) -> Array:
     """Convert to a read-only array of finite doubles.
 
@@ -106,6 +116,9 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
     if value is None or isinstance(value, str | bytes | dict | type):
         raise InputError("", f"must be an array of {wanted}, got {format_value(value)}")
+    if is_marked(value):
+        cure = "its plain numbers in SI units would do"
+        raise InputError("", f"has units or labels, which an array loses; {cure}")
     try:
         array = np.array(value, order="C")
     except ValueError as error:

@@ -24,7 +24,9 @@ from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
 from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
 from dynamics.doors import checked
 from dynamics.inputs import InputError
+from dynamics.quantities import check_turns
 from dynamics.symbols import Number, Numbers
+from dynamics.units import Angle, Length, Speed, Unit
 
 K_J2 = oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS)  # of the Earth [m⁵/s²]
 
@@ -69,15 +71,15 @@ class Orbit:
             no known body and there is no k_J2.
     """
 
-    r: float
-    v_x: float
-    h: float
-    raan: float
-    inclination: float
-    arg_latitude: float
-    mu: float = EARTH_MU
-    k_J2: float = FROM_MU
-    body_radius: float = FROM_MU
+    r: Length
+    v_x: Speed
+    h: Annotated[float, Unit("m2_s")]
+    raan: Angle
+    inclination: Angle
+    arg_latitude: Angle
+    mu: Annotated[float, Unit("m3_s2")] = EARTH_MU
+    k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU
+    body_radius: Length = FROM_MU
 
     def __post_init__(self) -> None:
         """Complete the gravity, and check that the state is on an ellipse above the surface."""
@@ -94,15 +96,15 @@ class Orbit:
     @classmethod
     def from_elements(
         cls,
-        semi_major_axis: float,
+        semi_major_axis: Length,
         eccentricity: float = 0.0,
-        inclination: float = 0.0,
-        raan: float = 0.0,
-        arg_perigee: float = 0.0,
-        true_anomaly: float = 0.0,
-        mu: Annotated[float, Gt(0)] = EARTH_MU,
-        k_J2: float = FROM_MU,
-        body_radius: float = FROM_MU,
+        inclination: Angle = 0.0,
+        raan: Angle = 0.0,
+        arg_perigee: Angle = 0.0,
+        true_anomaly: Angle = 0.0,
+        mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU,
+        k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU,
+        body_radius: Length = FROM_MU,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.
 
@@ -121,6 +123,8 @@ class Orbit:
             ValueError: This is not an ellipse, the perigee is inside the body, or mu is of no
                 known body and there is no k_J2.
         """
+        check_turns(inclination=inclination, raan=raan)
+        check_turns(arg_perigee=arg_perigee, true_anomaly=true_anomaly)
         validate_ellipse(semi_major_axis, eccentricity, mu)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)

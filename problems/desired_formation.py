@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -10,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 
 from dynamics.doors import checked
+from dynamics.units import Unit
 
 FLATNESS_TOLERANCE = 0.01  # half the range of heights that counts as flat [m]
 MAX_COORDINATE = 1e9  # squares must not overflow, and rounding must stay below a meter [m]
@@ -36,7 +38,7 @@ class DesiredFormation:
             disconnected or has a vertex of fewer than two neighbors.
     """
 
-    points: Float[Array, "n 3"]
+    points: Annotated[Float[Array, "n 3"], Unit("m")]
     graph: Bool[Array, "n n"]
     name: str = ""
 

@@ -30,6 +30,7 @@ from sato.run_data import RunData
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, describe_own, from_dict, parse, read
 from sato.scenario.origin import Origin
+from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
 from sato.systems import load_system
 
@@ -196,7 +197,7 @@ def run(
     scenario: Scenario,
     *,
     seed: int = 0,
-    overrides: Iterable[str] = (),
+    overrides: Iterable[Setting] | Mapping[str, Any] = (),
     progress: bool | FrameCallback | None = None,
     strict: bool = False,
     processes: Literal["lock-step", "free-running"] | None = None,
@@ -213,7 +214,8 @@ def run(
         scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
             file.
         seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: Each "table.key=value"; not with a mission.
+        overrides: Each "table.key=value", or a pair of key and value, or a dict of these; not
+            with a mission.
         progress: True shows a progress bar; a function is called with the drawn mission and
             each frame.
         strict: Raise exceptions of functions of your own as they are: of models, plants, solvers,
@@ -228,7 +230,7 @@ def run(
         ValueError: The scenario cannot be flown; nothing was.
     """
     began = perf_counter()
-    overrides = overrides if isinstance(overrides, str) else tuple(overrides)
+    overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"), strictly(strict):
         mission, drawn, rng = _draw(scenario, seed, overrides)
@@ -260,19 +262,19 @@ def run(
         return _check_flown(Run(data, record.initial_summary(data.attrs), mission))
 
 
-def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
+def simulate(scenario: Scenario, seed: int = 0, overrides: Any = ()) -> Iterator[Frame]:
     """Fly a mission and yield its frames one by one.
 
     Args:
         scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
             file.
         seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: Each "table.key=value"; not with a mission.
+        overrides: As of `run`.
 
     Raises:
         ValueError: The scenario cannot be flown.
     """
-    mission, drawn, rng = _draw(scenario, seed, overrides)
+    mission, drawn, rng = _draw(scenario, seed, list_settings(overrides))
     frames = flight_frames.fly(load_system(mission.system), drawn, rng)
     limited = ThreadpoolController().wrap(limits=1, user_api="blas")
     return iter(limited(lambda: next(frames, None)), None)
@@ -305,7 +307,9 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
         raise record.RunFileError(f"{path}: {reason}") from error
 
 
-def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, Any, Generator]:
+def _draw(
+    scenario: object, seed: Any, overrides: tuple[Setting, ...]
+) -> tuple[Any, Any, Generator]:
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not is_integer or not 0 <= seed < 2**64:
         raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
@@ -316,7 +320,7 @@ def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, A
     elif not isinstance(scenario, Mission):
         got = f"an object of type {type(scenario).__name__}"
         raise InputError("scenario", f"must be a name, a path, a mission or a dict, got {got}")
-    elif tuple(overrides):
+    elif overrides:
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:
         mission = scenario

@@ -20,7 +20,7 @@ from sato.reconfiguration.feasibility import is_detectable, target_demand
 from sato.reconfiguration.leg import Loss
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.reach import check_reach
-from sato.scenario.definition import Definition
+from sato.scenario.definition import Definition, fields_of
 from sato.scenario.errors import InputError, ScenarioError, round_down, round_up
 from sato.scenario.file import BUILT_IN, parse, read, scenarios
 from sato.scenario.table import read_table
@@ -76,7 +76,7 @@ class Measured(Definition):
 FIELDS = {
     quantity: quantity.replace(" ", "_")
     for quantity in {suffix.quantity for suffix in SUFFIXES.values()}
-    if quantity not in ("area per mass", "specific angular momentum")
+    if quantity.replace(" ", "_") in {field.name for field in fields_of(Measured)}
 }
 SI = {suffix.quantity: name for name, suffix in SUFFIXES.items() if suffix.factor == 1.0}
 KNOWN = [name for name, suffix in SUFFIXES.items() if suffix.quantity in FIELDS]

@@ -388,9 +388,9 @@ def test_unusable_picture_is_refused_with_a_reason(tmp_path):
     [
         ("", "lists no points"),
         ("x,y\n", "lists no points"),
-        ("0\n1\n", "line 1: 2 or 3 columns of meters are needed, got 1"),
-        ("0,0\n1,2,3\n", "line 2: 2 columns of meters are needed, got 3"),
-        ("x_km,y_km\n0,0\n", "line 1: not numbers: x_km, y_km .*x_m,y_m"),
+        ("0\n1\n", "line 1: 2 or 3 columns are needed, or a header .*, got 1"),
+        ("0,0\n1,2,3\n", "line 2: 2 columns are needed, got 3"),
+        ("x_s,y_s\n0,0\n", 'column "x_s" has the unit "s"; km, cm, mm or m would do'),
         ("0,0\n1,two\n", "line 2: not numbers: 1, two"),
         ("0,0\n\n1,nan\n", "line 3: a coordinate is not finite"),
         ("0,0\n1,inf\n", "line 2: a coordinate is not finite"),

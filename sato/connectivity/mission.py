@@ -22,6 +22,7 @@ from sato.network.link import Link
 from sato.obstacles import Box, Sphere
 from sato.scenario.definition import (
     LATER,
+    TURNS,
     Convert,
     Definition,
     In,
@@ -65,11 +66,14 @@ class Connectivity(Mission):
     start: Annotated[RandomPoses | Poses, In("swarm"), Convert(as_poses), "initial poses"] = (
         RandomPoses()
     )
-    yaw: Annotated[Vector, In("swarm"), Unit("rad"), "yaw of each robot at the start"] = LATER
+    yaw: Annotated[Vector, In("swarm"), Unit("rad"), TURNS, "yaw of each robot at the start"] = (
+        LATER
+    )
     yaw_error: Annotated[
         Annotated[float, NotNegative] | Matrix,
         In("swarm"),
         Unit("rad"),
+        TURNS,
         "error of the first estimates of relative yaw: one for each pair, or drawn up to a bound",
     ] = 0.5
 

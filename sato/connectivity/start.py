@@ -6,11 +6,13 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.labels import to_plain
 from dynamics.units import Length, Unit
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Point
 from sato.scenario.definition import (
     LATER,
+    TURNS,
     Definition,
     Matrix,
     NotNegative,
@@ -32,7 +34,7 @@ class Poses(Definition):
 
     kind: ClassVar[str] = "points"
     positions: Annotated[Matrix, Unit("m"), "one row an agent"]
-    yaw: Annotated[Vector, Unit("rad"), "one yaw an agent"] = LATER
+    yaw: Annotated[Vector, Unit("rad"), TURNS, "one yaw an agent"] = LATER
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,4 +75,5 @@ class RandomPoses(Definition):
 
 def as_poses(value: Any) -> Any:
     """Convert an array of positions to `Poses`; leave anything else as it is."""
+    value = to_plain(value, "m")
     return Poses(as_array(value, 2)) if isinstance(value, Array | list | tuple) else value

@@ -1,6 +1,7 @@
 """Operator's stick: velocity commands to the leader over time."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -9,11 +10,13 @@ from numpy import ndarray as Array
 
 from dynamics.callbacks import Callback, as_kind, as_shape
 from dynamics.units import Key, Length, Speed, Time, Unit
+from sato.scenario.csv_file import read_columns
 from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError
 
 CLOCK_OF_ITS_OWN = 1e8  # times from which on count from the first: 1973 in Unix seconds [s]
 MILLISECONDS = 1e11  # the same in Unix milliseconds: 1973 too, or 5138 in seconds [s]
+COLUMNS = {"t": "s", "vx": "m_s", "vy": "m_s", "vz": "m_s"}  # of a recording
 MAX_TURN = 1.0  # between two drawn legs [rad]
 Vector3 = Float[Array, " 3"]
 
@@ -170,11 +173,10 @@ class RecordedStick(Stick):
         if self.file is None:
             return self
         try:
-            table = np.loadtxt(self.file, delimiter=",", ndmin=2, encoding="utf-8")
-            if table.shape[1] != 4:
-                raise ValueError("needs rows of time, v_x, v_y, v_z; in s and m/s")
-            return replace(self, times=table[:, 0], velocities=table[:, 1:], file=None)
-        except (OSError, ValueError) as error:
+            time, *velocity = read_columns(Path(self.file), "commands", COLUMNS, (4,))[0].values()
+            stacked = np.stack(velocity, axis=1)
+            return replace(self, times=time, velocities=stacked, file=None)
+        except ValueError as error:
             raise InputError("file", f'"{self.file}" cannot be read: {error}') from error
 
     @property

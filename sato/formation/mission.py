@@ -97,8 +97,8 @@ class Formation(Mission):
         """Return the number of agents, and identifiers that tell all of them apart."""
         agents, radio = self.agents, self.radio
         for points in (self.start, *(leg.formation for leg in self.legs)):
-            if agents is None and isinstance(points, Points) and points.positions is not None:
-                agents = len(points.positions)
+            if agents is None and isinstance(points, Points):
+                agents = len(points.listed)
         bits = max(radio.id_bits, (agents - 1).bit_length() if agents else 0)
         return {"agents": agents, "radio": replace(radio, id_bits=bits)}
 

@@ -10,7 +10,15 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator
 
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
-from sato.scenario.definition import Coordinates, Definition, Key, NotNegative, Positive, as_array
+from sato.scenario.definition import (
+    TURNS,
+    Coordinates,
+    Definition,
+    Key,
+    NotNegative,
+    Positive,
+    as_array,
+)
 from sato.scenario.errors import InputError
 
 BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
@@ -32,7 +40,7 @@ class CollisionAvoidance(NamedTuple):
     braking: Annotated[Acceleration, Key("brake"), Positive, "assumed deceleration"] = 0.25
     horizon: Annotated[Time, Key("ahead"), Positive, "time for which others are to be passed"] = 2.0
     right_turn_bias: Annotated[
-        Angle, Key("aside"), NotNegative, "turn to the right of a command that has to change"
+        Angle, Key("aside"), NotNegative, TURNS, "turn to the right of a command that has to change"
     ] = 0.2
     blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 3.0
     wander_time: Annotated[
@@ -89,6 +97,7 @@ def _as_rows(value: Any) -> Any:
 Angles = Annotated[
     Literal["random", "aligned"] | Array,
     BeforeValidator(lambda value: value if isinstance(value, str) else as_array(value, 1)),
+    TURNS,
 ]
 SizeOrRows = Annotated[float | Array, BeforeValidator(_as_rows)]
 

@@ -63,6 +63,8 @@ def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "
     Raises:
         InputError: The shape does not fit the count or the distance.
     """
+    if shape.place_velocities(count, 3) is not None:
+        raise InputError("", "has velocities, and vehicles begin and end at rest; drop them")
     level = np.zeros((count, 3))
     placed = shape.place(count, 2 if isinstance(shape, Lattice) else 3, min_distance)
     level[:, : placed.shape[1]] = placed

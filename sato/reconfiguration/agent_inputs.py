@@ -11,10 +11,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitment
+from sato.scenario.definition import as_array
+from sato.scenario.errors import InputError
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
 MAX_OFF = 0.25  # of a control step, by which a call may be early or late
@@ -139,8 +142,8 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     """
     n = 2 * mission.axes
     try:
-        array = np.asarray(state).astype(float, casting="safe")
-    except (TypeError, ValueError):
+        array = as_array(to_plain(state, "m", STATES), 1)
+    except InputError:
         array = np.zeros(0)
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ValueError(

@@ -76,8 +76,9 @@ class Join(Definition):
 
     def completed(self) -> dict[str, Any]:
         """Return how many agents the start lists, where it is not given."""
-        listed = getattr(self.start, "positions", None)
-        return {} if self.agents or listed is None else {"agents": len(listed)}
+        if self.agents is None and isinstance(self.start, Points):
+            return {"agents": len(self.start.listed)}
+        return {}
 
     def check(self) -> None:
         """Refuse a missing start, and an unknown number of agents."""

@@ -33,6 +33,7 @@ from sato.scenario.definition import (
     Matrix,
     NotNegative,
     Positive,
+    errors_in,
     is_auto,
 )
 from sato.scenario.errors import InputError, format_value
@@ -136,7 +137,10 @@ class Reconfiguration(PlannedLimits, Mission):
     separation_axes: Annotated[
         Coordinates | None,
         MODEL,
-        "semi-axes of the ellipsoid that two keep, over R; a ball if absent",
+        "semi-axes of the ellipsoid that two keep, over R, one of them 1; a ball if absent",
+    ] = None
+    separation_semi_axes: Annotated[
+        Coordinates | None, Unit("m"), Key("separation_axes"), MODEL, "semi-axes, instead"
     ] = None
     box: Annotated[
         Matrix | None, Unit("m"), MODEL, "allowed positions: lowest and highest corner"
@@ -255,7 +259,8 @@ class Reconfiguration(PlannedLimits, Mission):
         model, chief = models.as_definition(self.model, self.chief)
         values: dict[str, Any] = {"model": model, "chief": chief}
         if self.agents is None and isinstance(self.start, Points):
-            values["agents"] = None if self.start.positions is None else len(self.start.positions)
+            with errors_in("swarm.start"):
+                values["agents"] = len(self.start.listed)
         values |= {
             name: plain if given is None else given
             for name, given, plain in (

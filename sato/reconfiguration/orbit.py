@@ -21,6 +21,7 @@ from dynamics.orbit import Orbit
 from dynamics.units import Unit
 from sato.scenario.definition import (
     LATER,
+    TURNS,
     Coordinates,
     Definition,
     NotNegative,
@@ -71,9 +72,11 @@ class Chief(Definition):
     semi_major_axis: Annotated[float | None, Unit("m"), Positive, "semi-major axis"] = None
     eccentricity: Annotated[float | None, NotNegative, "eccentricity"] = None
     inclination: Annotated[float | None, Unit("rad"), "inclination"] = None
-    node: Annotated[float | None, Unit("rad"), "right ascension of the ascending node"] = None
-    perigee: Annotated[float | None, Unit("rad"), "argument of perigee"] = None
-    anomaly: Annotated[float | None, Unit("rad"), "true anomaly"] = None
+    node: Annotated[float | None, Unit("rad"), TURNS, "right ascension of the ascending node"] = (
+        None
+    )
+    perigee: Annotated[float | None, Unit("rad"), TURNS, "argument of perigee"] = None
+    anomaly: Annotated[float | None, Unit("rad"), TURNS, "true anomaly"] = None
     position: Annotated[Coordinates | None, Unit("m"), "inertial position"] = None
     velocity: Annotated[Coordinates | None, Unit("m_s"), "inertial velocity"] = None
     radius: Annotated[float | None, Unit("m"), "distance from the center of the body"] = None
@@ -255,6 +258,8 @@ class Chief(Definition):
             )
         if not 0 <= i <= pi:
             message = f"must be between 0 and 180 degrees, got {degrees(i):.6g}"
+            if i > pi:
+                message += f", or {i:.6g} rad; {i:.6g} degrees are np.radians({i:.6g})"
             raise InputError("inclination_rad", message)
 
     def _check_state(self, position: Sequence[float], velocity: Sequence[float]) -> None:

@@ -38,7 +38,7 @@ def draw_targets(
     """
     where = f"leg.{number}.shape"
     kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
-    checked = mission.keeps_targets_by_pair or mission.separation_axes is not None
+    checked = mission.keeps_targets_by_pair or mission.ellipsoid is not None
     needed = 0.0 if checked else mission.largest_separation * kept
     with errors_in(where):
         drawn = place_targets(mission, leg, demand, needed)
@@ -130,7 +130,7 @@ def draw_start(
             start = replace(start, keep_order=True)
             placed, velocity = start.place(count, axes), start.place_velocities(count, axes)
         else:
-            needed = mission.largest_separation if mission.separation_axes is None else 0.0
+            needed = mission.largest_separation if mission.ellipsoid is None else 0.0
             placed = start.place(count, axes, needed)
         # Any may stand where others are already.
         others = np.full(len(occupied), mission.radii.max())

@@ -67,7 +67,7 @@ def _collect_targets(record: ReconfigurationRecord) -> Targets:
 def _measure_separation(record: ReconfigurationRecord) -> Series:
     """Find the least separation along the trajectories of each step."""
     mission = record.mission
-    if mission.has_equal_radii and mission.separation_axes is None:
+    if mission.has_equal_radii and mission.ellipsoid is None:
         separations, limit, unit = record.separations[0], mission.largest_separation, "m"
         names = "least separation in each step", "collision radius"
     else:

@@ -110,7 +110,7 @@ class Surroundings(NamedTuple):
         if paths is None or not len(rows):
             return None
         own = float(mission.own_clearances(clearance, np.array([agent]))[0])
-        is_ball = mission.separation_axes is None
+        is_ball = mission.ellipsoid is None
         keeps = np.where(is_ball, own + self.thickness, own)
         keeps[self.is_wall] = own - mission.radius(agent) + mission.largest_separation
         of_lost = mission.own_clearances(clearance, self.vehicle[self.is_lost])

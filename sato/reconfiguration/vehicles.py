@@ -32,17 +32,25 @@ class Vehicles(Motion):
     control_norm: Norm
     speed_norm: Norm
     separation_axes: tuple[float, ...] | None
+    separation_semi_axes: tuple[float, ...] | None
+
+    @property
+    def ellipsoid(self) -> tuple[float, ...] | None:
+        """Semi-axes of the ellipsoid that two keep, over R; None where it is a ball."""
+        if self.separation_semi_axes is None:
+            return self.separation_axes
+        return tuple(axis / self.largest_separation for axis in self.separation_semi_axes)
 
     @property
     def separation_scale(self) -> tuple[float, ...] | None:
         """Factors by which the ellipsoid that two keep becomes a ball; None where it is one."""
-        axes = self.separation_axes
+        axes = self.ellipsoid
         return None if axes is None else tuple(1.0 / a for a in axes)
 
     @property
     def widest_axis(self) -> float:
         """Largest semi-axis of the ellipsoid that two keep, over R."""
-        return 1.0 if self.separation_axes is None else max(self.separation_axes)
+        return 1.0 if self.ellipsoid is None else max(self.ellipsoid)
 
     def scale_separations(self, vectors: Float[Array, "*k d"]) -> Float[Array, "*k d"]:
         """Return vectors between vehicles whose lengths two keep R apart."""
@@ -71,7 +79,7 @@ class Vehicles(Motion):
     @property
     def has_own_separations(self) -> bool:
         """True where the distance that two keep depends on the pair, or on the direction."""
-        return not self.has_equal_radii or self.separation_axes is not None
+        return not self.has_equal_radii or self.ellipsoid is not None
 
     @property
     def largest_separation(self) -> float:
@@ -194,15 +202,7 @@ def check_limits(mission: Any) -> None:
     if mission.agents is None:
         return
     count = mission.vehicle_count
-    if (axes := mission.separation_axes) is not None:
-        if len(axes) != mission.axes:
-            reason = f"has {len(axes)} entries, and the model has {mission.axes} axes"
-            raise InputError("model.separation_axes", reason)
-        if min(axes) <= 0:
-            raise InputError("model.separation_axes", f"must be greater than 0, got {min(axes):g}")
-        if not mission.is_point_mass:
-            reason = "is for double integrators; swarm.collision_radius_m would do"
-            raise InputError("model.separation_axes", reason)
+    _check_ellipsoid(mission)
     for where, value in (
         ("swarm.collision_radius_m", mission.collision_radius),
         ("swarm.priority", mission.priority),
@@ -215,6 +215,36 @@ def check_limits(mission: Any) -> None:
     if mission.bargains and mission.priority is not None:
         reason = "in a negotiation vehicles of higher swarm.priority would give way too"
         raise InputError("plan.bargains", f"{reason}; bargains = 0, or no priorities, would do")
+
+
+def _check_ellipsoid(mission: Any) -> None:
+    """Refuse ratios that look like meters, and an ellipsoid that is given twice, or to others."""
+    ratios, meters = mission.separation_axes, mission.separation_semi_axes
+    given = ratios if meters is None else meters
+    where = "model.separation_axes" + ("" if meters is None else "_m")
+    if given is None:
+        return
+    if None not in (ratios, meters):
+        raise InputError(where, "is given beside separation_axes; one of the two is enough")
+    if len(given) != mission.axes:
+        reason = f"has {len(given)} entries, and the model has {mission.axes} axes"
+        raise InputError(where, reason)
+    if min(given) <= 0:
+        raise InputError(where, f"must be greater than 0, got {min(given):g}")
+    if not mission.is_point_mass:
+        reason = "is for double integrators; swarm.collision_radius_m would do"
+        raise InputError(where, reason)
+    if meters is not None and not mission.has_equal_radii:
+        reason = "is for vehicles with equal radii; separation_axes, a ratio to them, would do"
+        raise InputError(where, reason)
+    if ratios is not None and all(abs(ratio - 1) > 1e-9 for ratio in ratios):
+        R = mission.largest_separation
+        axes, kept = (
+            ", ".join(f"{a:.6g}" for a in row) for row in (ratios, [R * a for a in ratios])
+        )
+        reason = f"are ratios to collision_radius_m = {R:g}, one of them 1: {axes} keep {kept} m"
+        cure = f"separation_axes_m = [{axes}], in Python separation_semi_axes, keeps {axes} m"
+        raise InputError(where, f"{reason}; {cure}")
 
 
 def check_automatic_steps(mission: Any) -> None:

@@ -28,19 +28,29 @@ from typing import (
 import numpy as np
 from annotated_types import Ge, Gt
 from numpy import ndarray as Array
-from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    TypeAdapter,
+    ValidationError,
+    WrapValidator,
+)
 
 from dynamics.callbacks import Callback, guard
 from dynamics.inputs import as_array as as_array
 from dynamics.inputs import shorten
+from dynamics.labels import to_plain
 from dynamics.model import Model
 from dynamics.plant import Plant
+from dynamics.quantities import within_turns
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, join_names
 from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
+TURNS = AfterValidator(within_turns)  # mark of an angle of at most two turns
 LATER: Any = None  # default of a field that follows from others, or is drawn
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -163,8 +173,8 @@ class Field:
         self.table: str = marks[In].table if In in marks else ""
         self.convert: Callable[[Any], Any] | None = getattr(marks.get(Convert), "function", None)
         self.key: str = marks[Key].name if Key in marks else name
-        if Unit in marks:
-            self.key += f"_{marks[Unit].suffix}"  # an SI unit
+        self.unit: str = marks[Unit].suffix if Unit in marks else ""  # an SI unit
+        self.key += f"_{self.unit}" if self.unit else ""
         classes = _classes(self.hint)
         self.variants = tuple(kind for kind in classes if is_definition(kind))
         self.others = tuple(kind for kind in classes if not is_definition(kind))
@@ -204,6 +214,7 @@ class Field:
             return map_numbered(self._check_definition, [value] if is_one else value)
 
     def _check_plain(self, value: Any) -> Any:
+        value = to_plain(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)

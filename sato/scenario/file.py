@@ -12,9 +12,9 @@ import tomli_w
 from pydantic import Field
 
 from dynamics.callbacks import Callback, as_kind
-from sato.scenario.definition import Definition, In
-from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
-from sato.scenario.overrides import Setting, override
+from sato.scenario.definition import Definition, In, errors_in
+from sato.scenario.errors import InputError, ScenarioError, closest_name, join_names
+from sato.scenario.overrides import Setting, list_settings, override, write_value
 from sato.scenario.table import OWN, find_own, name_class, read_table, write_table
 from sato.systems import definition_of
 
@@ -99,12 +99,12 @@ def scenarios() -> dict[str, str]:
     return {name: text.split("\n")[0].lstrip("# ") for name, text in texts.items()}
 
 
-def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
+def read(name: str | Path, overrides: Iterable[Setting] = ()) -> Mission:
     """Read a built-in scenario by its name, or a file.
 
     Args:
         name: A name that `scenarios` lists, or the path of a TOML file.
-        overrides: Each "table.key=value".
+        overrides: Each "table.key=value", or a pair of key and value; or a dict of these.
 
     Raises:
         ScenarioError: There is no such scenario, or it cannot be flown as it stands.
@@ -150,7 +150,7 @@ def read_text(file: Path) -> str:
 
 def parse(
     text: str,
-    overrides: Iterable[str] = (),
+    overrides: Iterable[Setting] = (),
     *,
     source: str = "scenario",
     folder: Path | None = None,
@@ -159,7 +159,7 @@ def parse(
 
     Args:
         text: TOML.
-        overrides: Each "table.key=value".
+        overrides: As of `read`.
         source: Name of the text in messages.
         folder: Folder of files that the text names; the working folder without it.
 
@@ -194,18 +194,16 @@ def from_dict(
 
     Args:
         data: As TOML has it; arrays may stand in place of lists.
-        overrides: Each "table.key=value", or a pair of key and value.
+        overrides: As of `read`.
         folder: Folder of files that the data name; the working folder without it.
 
     Raises:
         InputError: The keys or values are not those of a mission.
     """
-    if isinstance(overrides, str):
-        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
-        raise InputError("overrides", reason)
+    settings = list_settings(overrides)
     data = _copied(data, folder)
     definition = definition_of(data.pop("system", ""))
-    for setting in overrides:
+    for setting in settings:
         override(data, setting, definition)
     for address, kind in find_own(data):
         reason = f'"{kind or OWN}" is of a mission in Python, which no file can hold'
@@ -214,7 +212,7 @@ def from_dict(
     return mission
 
 
-def spell_out(name: str | Path, overrides: Iterable[str]) -> tuple[str, ...]:
+def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]:
     """Write overrides of a scenario as "table.key = value", each with all its tables.
 
     Raises:
@@ -223,8 +221,15 @@ def spell_out(name: str | Path, overrides: Iterable[str]) -> tuple[str, ...]:
     """
     data = load_toml(_read_text(name)[0], str(name))
     definition = definition_of(data.pop("system", ""))
-    written = [(each, each.partition("=")[2].strip()) for each in overrides]
-    return tuple(f"{override(data, each, definition)} = {value}" for each, value in written)
+    written = []
+    for setting in overrides:
+        address = override(data, setting, definition)
+        with errors_in(address):
+            if isinstance(setting, str):
+                written.append(f"{address} = {setting.partition('=')[2].strip()}")
+            else:
+                written.append(f"{address} = {write_value(setting[1])}")
+    return tuple(written)
 
 
 def _copied(value: Any, folder: Path | None, key: str = "") -> Any:

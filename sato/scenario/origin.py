@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 from sato.scenario.errors import ScenarioError
 from sato.scenario.file import read, scenarios, spell_out
+from sato.scenario.overrides import Setting
 
 
 class Origin(NamedTuple):
@@ -17,7 +18,7 @@ class Origin(NamedTuple):
     overrides: tuple[str, ...] = ()  # "table.key = value", each with all its tables
 
     @classmethod
-    def of(cls, scenario: object, overrides: Iterable[str]) -> "Origin":
+    def of(cls, scenario: object, overrides: Iterable[Setting]) -> "Origin":
         """Return the origin of a scenario that can be read with these overrides."""
         if not isinstance(scenario, str | Path):
             return cls("python")

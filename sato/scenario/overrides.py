@@ -1,12 +1,16 @@
 """`--set table.key=value`: change a scenario before it is checked."""
 
+import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, NamedTuple, get_args
 
+import numpy as np
+from numpy import ndarray as Array
+
 from sato.scenario.definition import Field, fields_of
-from sato.scenario.errors import InputError, join_names
+from sato.scenario.errors import InputError, format_value, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
 NONE = object()  # value that takes a key away, unless the key has a value "none"
@@ -36,6 +40,42 @@ class Spot(NamedTuple):
 
 
 Setting = str | tuple[str, Any]
+
+
+def list_settings(overrides: Any) -> tuple[Setting, ...]:
+    """List overrides, texts or pairs of key and value, or a dict of these.
+
+    Raises:
+        InputError: They are something else.
+    """
+    if isinstance(overrides, str):
+        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
+        raise InputError("overrides", reason)
+    settings = overrides.items() if isinstance(overrides, Mapping) else overrides
+    listed = list(settings) if isinstance(settings, Iterable) else [overrides]
+    for setting in listed:
+        is_pair = isinstance(setting, tuple | list) and len(setting) == 2
+        if not isinstance(setting[0] if is_pair else setting, str):
+            wanted = 'texts "table.key=value", or keys and values'
+            raise InputError("overrides", f"must be {wanted}, got {format_value(setting)}")
+    return tuple(one if isinstance(one, str) else (one[0], one[1]) for one in listed)
+
+
+def write_value(value: Any) -> str:
+    """Write a value of a setting as TOML, in one line.
+
+    Raises:
+        InputError: TOML has no such value.
+    """
+    if isinstance(value, dict):
+        rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
+        return f"{{{rows}}}"
+    plain = value.tolist() if type(value) is Array or isinstance(value, np.generic) else value
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(map(write_value, plain))}]"
+    if not isinstance(plain, bool | str | int | float):
+        raise InputError("", f"must be a number, text, list or table, got {format_value(value)}")
+    return repr(plain) if isinstance(plain, float) else json.dumps(plain)
 
 
 def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from dynamics.inputs import LARGEST
+from dynamics.inputs import LARGEST, is_marked
+from dynamics.quantities import to_si
 from dynamics.units import SUFFIXES
 from sato.scenario.definition import (
     Field,
@@ -198,6 +199,8 @@ def _read_keys(entries: dict[str, Entry | None], given: Any) -> dict[tuple[str, 
     values: dict[tuple[str, ...], Any] = {}
     for key, value in given.items():
         name = find_key(key, entries)
+        if name is None and (hasattr(value, "unit") or hasattr(value, "units")):
+            name = next((known for known in entries if split_unit(known)[0] == key), None)
         if name is None:
             raise unknown_key(key, entries)
         entry = entries[name]
@@ -207,8 +210,10 @@ def _read_keys(entries: dict[str, Entry | None], given: Any) -> dict[tuple[str, 
             raise InputError(key, f"is given twice; one of it and {name} is enough")
         unit = split_unit(key)[1]
         with errors_in(key):
-            scaled = value if key == name or unit is None else _scaled(value, SUFFIXES[unit].factor)
-            values[entry.path] = _read_value(entry.field, scaled)
+            plain = value if entry.field.variants else to_si(value, entry.field.unit)
+            if unit is not None and key != name and plain is value:
+                plain = _scaled(value, SUFFIXES[unit].factor)
+            values[entry.path] = _read_value(entry.field, plain)
     return values
 
 
@@ -262,9 +267,15 @@ def _plain(value: Any, variants: tuple[type, ...] = ()) -> Any:
 
 def _scaled(value: Any, factor: float) -> Any:
     # Text, tables and huge numbers are left as they are: the check of the field refuses them.
-    if isinstance(value, Array):
+    if (
+        isinstance(value, dict)
+        or is_marked(value)
+        or getattr(value, "dtype", np.dtype(float)).names
+    ):
+        raise InputError("", "has labels, and is taken in the SI unit alone")
+    if isinstance(value, Array | np.generic):
         value = value.tolist()
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return [_scaled(part, factor) for part in value]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return value * factor if is_number and abs(value) <= LARGEST else value

@@ -25,6 +25,8 @@ Points2 = Float[Array, "_ 2"]
 MIN_CANDIDATES = 30_000  # positions from which the targets of a region are chosen, about
 CANDIDATES_PER_TARGET = 40  # and at least this many per target
 COARSE_CELLS = 200  # rows and columns of the grid that estimates the area
+LEAST_CONTRAST = 0.1  # of a picture: less is noise, and no shape
+WHITE_IS_ZERO = 262  # tag of TIFF with value 0
 MAX_GRID_CELLS = 4_000_000  # cells of the bounding box, a limit for a sliver across it
 
 
@@ -90,10 +92,12 @@ class Polygon(Shape):
 class Picture(Shape):
     """The dark or opaque part of a picture, in any format that Pillow reads.
 
-    Where the picture has transparency, a pixel is inside if it is at least half opaque, whatever
-    its color. Where it has none, a pixel is inside if it is darker than middle gray: luma
-    0.299 R + 0.587 G + 0.114 B below 128 of 255. A pixel is a square and counts with its whole
-    area. The height is that from the lowest to the highest pixel inside.
+    Where some pixels are less than half opaque, a pixel is inside if it is at least half opaque,
+    whatever its color. Else it is inside if it is darker than the middle between the darkest and
+    the brightest pixel, whatever the range of their numbers: 8, 12 or 16 bits, or floats. The gray
+    of a color is 0.299 R + 0.587 G + 0.114 B. A picture of nearly one shade is refused, if it is
+    not all black or all white in 8 bits. A pixel is a square and counts with its whole area. The
+    height is that from the lowest to the highest pixel inside.
     """
 
     kind: ClassVar[str] = "picture"
@@ -129,21 +133,36 @@ class Picture(Shape):
 
 
 def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
-    from PIL import Image
+    from PIL import Image, ImageOps
 
     try:
         with Image.open(path) as image:
-            image.load()
-            if image.mode.startswith("I"):  # 16 bits of gray, which Pillow would clip at 255
-                return np.asarray(np.asarray(image) < 128 * 257)
-            alpha = np.asarray(image.convert("RGBA").getchannel("A"))
-            if alpha.min() < 255:
-                return np.asarray(alpha >= 128)
-            return np.asarray(np.asarray(image.convert("L")) < 128)
+            upright = ImageOps.exif_transpose(image)
+            is_deep = upright.mode[0] in "IF"  # more than 8 bits of gray, which Pillow would clip
+            if not is_deep:
+                alpha = np.asarray(upright.convert("RGBA").getchannel("A"))
+                if alpha.min() < 128:
+                    return np.asarray(alpha >= 128)
+            gray = np.asarray(upright if is_deep else upright.convert("RGB").convert("L"))
+            # Pillow turns pictures in which 0 is white by itself, where they have 8 bits.
+            is_white = is_deep and getattr(image, "tag_v2", {}).get(WHITE_IS_ZERO) == 0
+            if not is_deep and np.isin(gray, (0, 255)).all():  # even if all are the same
+                return np.asarray(gray == 0)
+            return _is_dark(gray.astype(float) * (-1 if is_white else 1))
     except FileNotFoundError as error:
         raise ValueError(f"there is no picture {path}") from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"{path} cannot be read as a picture: {error}") from error
+
+
+def _is_dark(gray: Float[Array, "rows columns"]) -> Bool[Array, "rows columns"]:
+    if not np.isfinite(gray).all():
+        raise ValueError("it has pixels that are not finite")
+    low, high = float(gray.min()), float(gray.max())
+    is_mask = bool(((gray == low) | (gray == high)).all())
+    if low == high or (not is_mask and high - low < LEAST_CONTRAST * np.abs(gray).max()):
+        raise ValueError(f"its pixels are nearly of one shade, from {low:g} to {high:g}")
+    return np.asarray(gray < (low + high) / 2)
 
 
 def _find_font_file(font: str, text: str) -> str:

@@ -1,5 +1,6 @@
 """Formations by name, of any points and from files, and their graphs."""
 
+import re
 import tomllib
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -14,10 +15,16 @@ from numpy import ndarray as Array
 from numpy.random import Generator
 
 from problems.desired_formation import DesiredFormation
+from sato.scenario.csv_file import read_rows
 from sato.scenario.errors import join_names
-from sato.shapes.shape import read_points, read_rows
+from sato.shapes.shape import read_points
 
 LIBRARY_FILE = Path(__file__).with_name("formations.toml")
+VERTEX = re.compile(  # names of the two columns of a list of edges
+    r"(vertex|node|point|agent|vehicle|robot|drone|neighbou?r|source|target|from|to|start|end|"
+    r"tail|head|first|second)?[_ ]?(id|index|[a-v]|\d|one|two)?",
+    re.IGNORECASE,
+)
 
 
 def formation_names() -> tuple[str, ...]:
@@ -121,13 +128,20 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
 
     Neither the order of the two matters nor an edge that is repeated. A first line may name the
-    columns; empty lines and lines that begin with # are skipped. The count is that of vertices.
+    two columns, vertex,neighbor or i,j. The count is that of vertices.
 
     Raises:
         ValueError: The file cannot be read, or a line is not an edge between two of the vertices.
     """
     edges = []
-    for number, cells in read_rows(Path(path), "pairs of vertices", "[a-z]+"):
+    names, rows = read_rows(Path(path), "pairs of vertices", {})
+    wrong = [name for name in names or () if not VERTEX.fullmatch(name)]
+    if wrong or len(set(names or "ij")) != 2:
+        found = (
+            f'column "{wrong[0]}" is none of two vertices' if wrong else "two columns are needed"
+        )
+        raise ValueError(f"{path}: {found}; a header such as vertex,neighbor would do")
+    for number, cells in rows:
         where = f"{path}, line {number}"
         try:
             i, j = (int(cell) for cell in cells)

@@ -1,7 +1,5 @@
 """Shapes as values, and points one by one: targets or starts for any number of agents."""
 
-import csv
-import re
 from abc import abstractmethod
 from dataclasses import dataclass
 from math import isinf
@@ -13,8 +11,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.callbacks import Callback, as_kind, as_shape
+from dynamics.labels import AXES, STATES, to_plain
 from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
+from sato.scenario.csv_file import read_columns
 from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
 from sato.scenario.errors import InputError, round_up
 from sato.shapes.ordering import farthest_point_sampling
@@ -176,7 +176,16 @@ class Points(Shape):
     @property
     def listed(self) -> Float[Array, "k d"]:
         """All points [m], of the file where there is one."""
-        return np.asarray(self.positions if self.file is None else read_points(Path(self.file)))
+        return self._states[0]
+
+    @property
+    def _states(self) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | None]:
+        if self.file is None:
+            return np.asarray(self.positions), self.velocities
+        points, velocities = read_states(Path(self.file))
+        if velocities is not None and self.velocities is not None:
+            raise InputError("velocities_m_s", "stand in the file too; one of the two is enough")
+        return points, self.velocities if velocities is None else velocities
 
     def draw(self, count: int, axes: int) -> Drawing:
         """Take the first points of the order."""
@@ -192,13 +201,14 @@ class Points(Shape):
         Raises:
             InputError: There are not as many rows as points.
         """
-        if self.velocities is None:
+        listed, moving = self._states
+        if moving is None:
             return None
-        if self.positions is None and (len(self.velocities) < count or not self.keep_order):
-            raise InputError("velocities_m_s", f"needs {count} rows in the order of the file")
-        order = self._order(self.velocities if self.positions is None else self.positions, count)
-        moving = self.velocities[order]
-        return np.pad(moving, ((0, 0), (0, axes - moving.shape[1])))
+        if self.file and self.velocities is not None:
+            if len(moving) < count or not self.keep_order:
+                raise InputError("velocities_m_s", f"needs {count} rows in the order of the file")
+        rows = moving[self._order(listed, count)]
+        return np.pad(rows, ((0, 0), (0, axes - rows.shape[1])))
 
     def _order(self, listed: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
         if len(listed) < count:
@@ -216,6 +226,7 @@ def as_points(value: Any) -> Any:
     Raises:
         InputError: It is an array of another shape.
     """
+    value = to_plain(value, "m", STATES)
     if not isinstance(value, Array | list | tuple):
         return value
     array = as_array(value, 2)
@@ -227,62 +238,42 @@ def as_points(value: Any) -> Any:
     return Points(array[:, :d], array[:, d:] if columns > 3 else None)
 
 
-def read_points(path: Path) -> Float[Array, "k d"]:
-    """Read every point of a CSV file with two or three columns of meters, in its order.
+def read_states(path: Path) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | None]:
+    """Read the positions [m] of a CSV file, and the velocities [m/s] that it may have.
 
-    A first line may name the columns, `x,y`, `x,y,z`, `x_m,y_m` or `x_m,y_m,z_m`; empty lines and
-    lines that begin with # are skipped.
+    A header names the columns, in any order and unit: x, y and z, vx, vy and vz, and the number
+    id of each row, by which the rows are sorted. Without one, two or three columns are x, y and z
+    in meters.
 
     Raises:
         ValueError: The file cannot be read, a line is not a point, or two points coincide.
     """
-    rows = read_rows(path, "points", "[xyz](_m)?")
-    columns = len(rows[0][1])
-    points = np.empty((len(rows), columns))
-    for k, (number, cells) in enumerate(rows):
-        where, found = f"{path}, line {number}", ", ".join(cells)
-        if columns not in (2, 3) or len(cells) != columns:
-            needed = columns if columns in (2, 3) else "2 or 3"
-            raise ValueError(f"{where}: {needed} columns of meters are needed, got {len(cells)}")
-        try:
-            points[k] = [float(cell) for cell in cells]
-        except ValueError as error:
-            hint = "a first line may name the columns, x_m,y_m or x_m,y_m,z_m"
-            raise ValueError(f"{where}: not numbers: {found} ({hint})") from error
-        if not np.abs(points[k]).max() <= MAX_COORDINATE:
-            limit = f"{MAX_COORDINATE:.0e} m"
+    columns, lines = read_columns(path, "points", STATES, (2, 3))
+    states = np.stack(list(columns.values()), axis=1)
+    for line, state in zip(lines, states, strict=True):
+        if not np.abs(state).max() <= MAX_COORDINATE:
+            found, limit = ", ".join(f"{x:g}" for x in state), f"{MAX_COORDINATE:.0e} m"
+            where = f"{path}, line {line}"
             raise ValueError(f"{where}: a coordinate is not finite, or beyond {limit}: {found}")
+    d = sum(axis in columns for axis in AXES)
+    points = states[:, :d]
+    for k in range(len(points)):
         # Points closer than rounding can resolve coincide.
         away = np.abs(points[:k] - points[k]).max(axis=1, initial=0)
         same = np.flatnonzero(away <= 1e-12 * np.abs(points[: k + 1]).max())
         if len(same):
-            both = f"lines {rows[same[0]][0]} and {number}"
+            both = f"lines {lines[same[0]]} and {lines[k]}"
             raise ValueError(f"{path}: {both} are the same point; two agents cannot share it")
-    return points
+    return points, states[:, d:] if states.shape[1] > d else None
 
 
-def read_rows(path: Path, content: str, header: str) -> list[tuple[int, list[str]]]:
-    """Read the cells of a CSV file, without header, empty lines and comments, by line number.
-
-    The content is the name of the rows in messages, and the header a pattern of the cells in a
-    first line that names the columns.
+def read_points(path: Path) -> Float[Array, "k d"]:
+    """Read the positions of a CSV file [m], as `read_states` does; refuse velocities.
 
     Raises:
-        ValueError: There is no such file, it is not text, or it has no rows.
+        ValueError: They cannot be read, or have velocities.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError as error:
-        raise ValueError(f"there is no file {path}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
-    rows = [
-        (number, [cell.strip() for cell in next(csv.reader([line]))])
-        for number, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if rows and all(re.fullmatch(header, cell, re.IGNORECASE) for cell in rows[0][1]):
-        del rows[0]
-    if not rows:
-        raise ValueError(f"{path} lists no {content}")
-    return rows
+    points, velocities = read_states(path)
+    if velocities is not None:
+        raise ValueError(f"{path}: has velocities, and these points are at rest; drop its vx")
+    return points

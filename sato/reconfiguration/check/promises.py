@@ -228,7 +228,7 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     if mission.has_own_separations:
         found, error = record.relative_separations
         sampled, radius = _least_relative(record), 1.0
-        unit = "(R_i + R_j)/2" if mission.separation_axes is None else "of the ellipsoid"
+        unit = "(R_i + R_j)/2" if mission.ellipsoid is None else "of the ellipsoid"
     else:
         (found, error), unit = record.separations, "m"
         sampled = float(sampled_separations(frames.position, frames.alive).min())

@@ -45,7 +45,7 @@ def plot_half_space(record: ReconfigurationRecord) -> Figure:
     """Plot the pair that came closest: prohibited circle, and half-planes by its flown step."""
     found = find_encounter(record)
     radius, points = found.radius, found.points
-    unit = "[m]" if record.mission.separation_axes is None else "[m], scaled to a ball"
+    unit = "[m]" if record.mission.ellipsoid is None else "[m], scaled to a ball"
     figure = Figure(figsize=(9.0, 4.1), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     circle, tangent, whole = axes

@@ -1,0 +1,257 @@
+"""Labels of rows, columns and axes, put into the order of this library and into SI units.
+
+Names are obeyed, or refused with an `InputError`: of columns in a file; of tables of pandas,
+polars, pyarrow and astropy; of arrays of xarray; of structured arrays, dicts and lists of dicts.
+No package is imported: an object is known by its attributes.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from dynamics.inputs import PLAIN, InputError, as_array, join_names
+from dynamics.quantities import to_si
+from dynamics.units import SUFFIXES
+
+Units = Mapping[str, str]  # unit of each column, by its name in this library
+AXES = ("x", "y", "z")
+STATES: Units = dict.fromkeys(AXES, "m") | {f"v{axis}": "m_s" for axis in AXES}
+ID = "id"  # number of a row, by which rows are sorted
+_BODY = "agent|vehicle|drone|robot|uav|spacecraft|satellite|point|target"
+NAMES = {  # velocities first: "x_dot" is no x in the unit "dot"
+    "v{}": r"(?:v|vel|velocity)[_ .]?([xyz])|([xyz])[_ .]?(?:dot|vel|velocity)",
+    "{}": r"(?:(?:p|pos|position)[_ .]?)?([xyz])(?:[_ .]?(?:pos|position))?",
+    "t": r"t|time|timestamp",
+    # Pandas writes an index without a name in front, under an empty name.
+    ID: rf"(?:(?:{_BODY})[_ .]?)?(?:id|index|idx|number|no)|{_BODY}|unnamed: 0|",
+}
+AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", re.IGNORECASE)
+OTHER_AXES = re.compile(
+    r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
+)
+TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
+WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
+
+
+def match_columns(names: Sequence[Any], units: Units) -> dict[str, tuple[int, float | None]]:
+    """Find the columns that names mean, in the order of the units.
+
+    Positions are x and y, or x, y and z; all coordinates have a velocity, or none.
+
+    Returns:
+        Place of each column, and the unit of its name in SI units, None where it has none.
+
+    Raises:
+        InputError: A name is unknown, repeated or missing, or has a wrong unit.
+    """
+    found: dict[str, tuple[int, float | None]] = {}
+    for index, given in enumerate(names):
+        meaning, factor = _parse_name(given, index, units)
+        if meaning in found:
+            first = names[found[meaning][0]]
+            raise InputError("", f'columns "{first}" and "{given}" are the same; drop one')
+        found[meaning] = index, factor
+    axes = AXES[: 3 if {"z", "vz"} & set(found) else 2]
+    needed = [name for name in units if name == "t"]
+    for prefix in ("", "v"):
+        columns = [prefix + axis for axis in axes if prefix + axis in units]
+        is_optional = prefix == "v" and "x" in units
+        needed += columns if not is_optional or any(name in found for name in columns) else []
+    if absent := [name for name in needed if name not in found]:
+        given = join_names(map(str, names), "and")
+        raise InputError("", f'column "{absent[0]}" is missing; there are {given}')
+    return {name: found[name] for name in (ID, *units) if name in found}
+
+
+def knows_name(name: str, units: Units) -> bool:
+    """Tell whether a name is that of a column."""
+    try:
+        return bool(name) and _parse_name(name, 0, units) is not None
+    except InputError:
+        return False
+
+
+def parse_unit(text: str, unit: str) -> float:
+    """Return the size in SI units of a unit, spelled as in "km", "mm/s" or "m s-1".
+
+    Raises:
+        InputError: It is not known, or not of the quantity of the unit that is taken.
+    """
+    spelled = re.sub(r"\^|\*\*|-1|⁻¹", "", text.strip()).replace("²", "2")
+    suffix = re.sub(r"[\s/·.*]+", "_", spelled)
+    suffix = WORDS.get(suffix.removesuffix("s"), suffix)
+    quantity = SUFFIXES[unit].quantity if unit else ""
+    if suffix not in SUFFIXES or SUFFIXES[suffix].quantity != quantity:
+        known = [one.symbol for one in SUFFIXES.values() if one.quantity == quantity]
+        raise InputError("", f'has the unit "{text}"; {join_names(known or ["none"])} would do')
+    return SUFFIXES[suffix].factor
+
+
+def sort_rows(rows: Array, numbers: Array) -> Array:
+    """Return rows in the order of their numbers.
+
+    Raises:
+        InputError: A number is not whole, or stands twice.
+    """
+    whole, times = np.unique(numbers, return_counts=True)
+    if (whole % 1).any() or (times > 1).any():
+        wrong = whole[np.argmax((whole % 1 != 0) | (times > 1))]
+        reason = f'column "{ID}" must number the rows, and has {wrong:g} {times.max()} times'
+        raise InputError("", f"{reason}; without it rows keep their order")
+    return np.asarray(rows[np.argsort(numbers, kind="stable")])
+
+
+def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
+    """Return the plain numbers of a value with labels or units, in SI units.
+
+    A value without is returned as it is.
+
+    Args:
+        value: Number, array, list or table.
+        unit: Suffix of the unit that is taken; "" for none.
+        units: Columns of a table, if they are not the axes alone.
+
+    Raises:
+        InputError: Labels or units are not those that are taken.
+    """
+    if type(value) in PLAIN:
+        return value
+    if hasattr(value, "isel"):
+        value = _sort_labels(value)
+    if (table := _split_table(value)) is not None:
+        is_moving = unit == "m_s" and any("v" in str(name) for name in table[0])
+        names = [f"v{axis}" if is_moving else axis for axis in AXES]
+        return _stack(*table, units or dict.fromkeys(names, unit))
+    numbers, has_unit = _strip(value, unit)
+    if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):
+        cure = "plain numbers, in m and m/s, would do"
+        raise InputError("", f"has one unit for positions and velocities; {cure}")
+    return numbers
+
+
+def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None]:
+    whole = "_".join(map(str, given)) if isinstance(given, tuple) else str(given)
+    plain = re.sub(r"[\[\]()\"']", " ", whole).strip()
+    for pattern, spelled in NAMES.items():
+        match = re.fullmatch(rf"(?:{spelled})(?:[\s_/,]+(.*))?", plain, re.IGNORECASE)
+        if match is None or (not plain and index):
+            continue
+        *axes, unit = match.groups()
+        name = pattern.format(next(filter(None, axes), "").lower())
+        if name == ID and not unit:
+            return name, None
+        if name not in units:
+            break
+        try:
+            unit = unit.lower() if unit and whole.isupper() else unit
+            return name, parse_unit(unit, units[name]) if unit else None
+        except InputError as error:
+            raise InputError("", f'column "{given}" {error}') from error
+    is_other = OTHER_AXES.fullmatch(plain.split("_")[0])
+    reason = "is of other axes than those of a mission" if is_other else "is not known"
+    known = join_names((ID, *units), "and")
+    raise InputError("", f'column "{given}" {reason}; {known} are read, as x or x_km; leave it out')
+
+
+def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
+    """Split a table, or a row of one, into names and columns; None where it has no names."""
+    if isinstance(value, list | tuple) and value and all(map(_is_row, value)):
+        rows = [_as_dict(row) for row in value]
+        if any(set(row) != set(rows[0]) for row in rows):
+            raise InputError("", "must have rows of the same names")
+        return list(rows[0]), [[row[name] for row in rows] for name in rows[0]]
+    if _is_row(value):
+        return list(_as_dict(value)), list(_as_dict(value).values())
+    if hasattr(value, "isel"):  # of xarray
+        named = [dim for dim in value.dims if _is_text(value[dim])]
+        labels = value[named[0]].values.tolist() if named else []
+        return (labels, [value.isel({named[0]: i}) for i in range(len(labels))]) if named else None
+    if hasattr(value, "iloc") and hasattr(value, "index"):  # of pandas
+        return _split_frame(value)
+    listed = getattr(value, "dtype", None), value, value, value
+    marked = (getattr(one, mark, None) for one, mark in zip(listed, TABLES, strict=True))
+    names = next((list(names) for names in marked if names and not callable(names)), None)
+    return None if names is None else (names, [value[name] for name in names])
+
+
+def _is_row(value: Any) -> bool:
+    is_series = hasattr(value, "iloc") and hasattr(value, "to_frame") and _is_text(value.index)
+    return isinstance(value, Mapping) or hasattr(value, "_fields") or is_series
+
+
+def _as_dict(row: Any) -> dict[Any, Any]:
+    return dict(row._asdict() if hasattr(row, "_fields") else row)
+
+
+def _is_text(labels: Any) -> bool:
+    return any(isinstance(label, str | tuple) for label in np.asarray(labels).tolist())
+
+
+def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:
+    is_frame = hasattr(value, "columns")
+    if is_frame and _is_text(value.index) and not _is_text(value.columns):
+        value = value.T
+    index = value.index
+    if index.nlevels > 1 or (is_frame and index.dtype.kind == "M"):
+        raise InputError("", "has an index of times, or of several levels; reset_index() has none")
+    is_named = is_frame and index.name is not None
+    if not (is_named or _is_text(index) or index.is_monotonic_increasing):
+        raise InputError("", "has an index out of order; sort_index() or reset_index() would do")
+    names = list(value.columns) if is_frame else [0]
+    columns = [value.iloc[:, i] for i in range(len(names))] if is_frame else [value]
+    if names == list(range(len(names))) and not is_named:
+        return None
+    return ([index.name, *names], [index, *columns]) if is_named else (names, columns)
+
+
+def _sort_labels(value: Any) -> Any:
+    """Sort an array of xarray by its numbered labels, and put its axes last."""
+    numbered = [dim for dim in value.dims if dim in value.coords and not _is_text(value[dim])]
+    if repeated := [dim for dim in numbered if len(np.unique(value[dim])) < value.sizes[dim]]:
+        raise InputError("", f'has labels of "{repeated[0]}" that are repeated')
+    value = value.sortby(numbered) if numbered else value
+    axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
+    is_known = len(axes) == 1 or all(str(dim).startswith("dim_") for dim in value.dims)
+    if len(value.dims) != 2 or any(_is_text(value[dim]) for dim in value.dims):
+        return value
+    if not is_known:
+        dims = join_names(map(str, value.dims), "and")
+        raise InputError("", f'has dimensions {dims}; "agent" and "axis" would do')
+    return value.transpose(..., *axes)
+
+
+def _stack(names: list[Any], columns: list[Any], units: Units) -> Array:
+    read = {}
+    for name, (place, factor) in match_columns(names, units).items():
+        try:
+            numbers, has_unit = _strip(columns[place], units.get(name, ""))
+            array = as_array(numbers, np.ndim(numbers))
+            if factor is not None and "units" in getattr(columns[place], "attrs", {}):
+                raise InputError("", "has a unit in its name and in its attrs; drop one")
+        except InputError as error:
+            raise InputError("", f'column "{names[place]}" {error}') from error
+        read[name] = array * (1.0 if factor is None or has_unit else factor)
+    if len({array.shape for array in read.values()}) > 1:
+        raise InputError("", "has columns of different lengths")
+    numbers = read.pop(ID, None)
+    rows = np.stack(list(read.values()), axis=-1)
+    return rows if numbers is None or rows.ndim == 1 else sort_rows(rows, numbers)
+
+
+def _strip(value: Any, unit: str) -> tuple[Any, bool]:
+    """Return the numbers of a quantity, a column or an array, and True if it had a unit."""
+    plain = value
+    if hasattr(value, "isel"):
+        plain = value.data
+    elif hasattr(value, "to_numpy"):
+        plain = value.to_numpy()
+    elif hasattr(value, "quantity"):  # a column of astropy
+        plain = np.asarray(value) if value.unit is None else value.quantity
+    numbers = to_si(plain, unit)
+    declared = getattr(value, "attrs", {}).get("units")
+    if declared is None or numbers is not plain:
+        return numbers, numbers is not plain
+    return np.asarray(numbers) * parse_unit(str(declared), unit), True

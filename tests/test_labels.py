@@ -1,0 +1,343 @@
+"""Names, units and ranges that come with numbers: they are obeyed, or refused in a sentence."""
+
+import re
+import runpy
+import subprocess
+import sys
+from collections import namedtuple
+from datetime import timedelta
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pandas as pd
+import pint
+import pytest
+import xarray as xr
+from PIL import Image
+
+import sato
+from sato.connectivity.start import as_poses
+from sato.connectivity.stick import RecordedStick
+from sato.formation.settings import FrameSettings
+from sato.scenario.file import read_data
+from sato.scenario.overrides import list_settings
+from sato.shapes.formation_library import read_formation, read_graph
+from sato.shapes.shape import as_points
+
+ROOT = Path(__file__).parents[1]
+FUZZ = runpy.run_path(str(ROOT / "scripts" / "fuzz_labels.py"))
+REGISTRY = pint.UnitRegistry()
+SQUARE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 5.0], [0.0, 5.0]])
+Swapped = namedtuple("Swapped", "y x")
+
+
+def test_drawn_labels_are_obeyed_or_refused():
+    # In a process of its own, where the annotations of arguments are not checked.
+    script = str(ROOT / "scripts" / "fuzz_labels.py")
+    said = subprocess.run(
+        [sys.executable, script, "--scale", "0.5"], capture_output=True, text=True
+    )
+    assert said.returncode == 0, said.stderr
+    assert len(re.findall(r"[1-9]\d* read", said.stdout)) == 4
+    assert len(re.findall(r"[1-9]\d* refused", said.stdout)) == 3
+    assert said.stdout.count("   0 wrong") == 4
+
+
+# CSV files.
+
+
+def listed(folder, text, **given):
+    path = folder / "points.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return sato.Points(file=str(path), keep_order=True, **given)
+
+
+@pytest.mark.parametrize(
+    ("text", "states"),
+    [
+        ("y_m,x_m\n0,10\n0,12\n", [[10, 0], [12, 0]]),
+        ("Y [km];X (m)\r\n1,5;2,0\r\n3,0;4,0\r\n", [[2, 1500], [4, 3000]]),
+        ("# z y x\n1 2 3\n4 5 7\n", [[3, 2, 1], [7, 5, 4]]),
+        (",x,y\n1,3,4\n0,1,2\n", [[1, 2], [3, 4]]),
+        ("id\tx\ty\n7\t3\t4\n2\t1\t2\n", [[1, 2], [3, 4]]),
+        ("sep=;\nx;y\n1;2\n3;4\n", [[1, 2], [3, 4]]),
+        ("vy_cm_s,x,y,vx_km_h\n100,0,0,36\n0,1,1,0\n", [[0, 0, 10, 1], [1, 1, 0, 0]]),
+        ("1,2,\n3,4,\n,,\n", [[1, 2], [3, 4]]),
+    ],
+)
+def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
+    points, count = listed(tmp_path, text), len(states)
+    axes = 3 if text.startswith("# z") else 2
+    velocities = points.place_velocities(count, axes)
+    placed = points.place(count, axes)
+    found = placed if velocities is None else np.hstack([placed, velocities])
+    np.testing.assert_allclose(found, states, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x_m,x_m\n0,1\n", 'columns "x_m" and "x_m" are the same'),
+        ("x,z\n0,1\n", 'column "y" is missing'),
+        ("x,y,vx\n0,1,2\n", 'column "vy" is missing'),
+        ("x,y,battery\n0,1,2\n", 'column "battery" is not known'),
+        ("north,east,down\n0,1,2\n", 'column "north" is of other axes'),
+        ("# north, east\n0,1\n", 'column "north" is of other axes'),
+        ("x [ft],y\n0,1\n", r'column "x \[ft\]" has the unit "ft"; km, cm, mm or m would do'),
+        ("vx_m,vy_m,x,y\n0,1,2,3\n", 'column "vx_m" has the unit "m"'),
+        ("# x,y\n# km,km\n0,1\n", "units have a line of their own"),
+        ("x,y\nkm,km\n0,1\n", "line 2: not numbers: km, km"),
+        ("x;y\n1,500;2,500\n", "1,500 may be a decimal or thousands"),
+        ("x;y\n1,5;2.5\n", "1,5 may be a decimal or thousands"),
+        ("id,x,y\n1,0,0\n1,2,2\n", "must number the rows, and has 1 2 times"),
+        ("0,1,2,3\n", "2 or 3 columns are needed, or a header such as x,y,z,vx,vy,vz, got 4"),
+        ("places\nx,y\n0,1\n", 'column "places" is not known'),
+        ("x,y\n1_0,2\n", "line 2: not numbers"),
+    ],
+)
+def test_columns_that_cannot_be_obeyed_are_refused(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        listed(tmp_path, text).place(1, 3)
+
+
+def test_velocities_of_a_file_are_flown_by_those_that_can_move(tmp_path):
+    points = listed(tmp_path, "x,y,vx,vy\n0,0,0.1,0\n5,0,0,0.2\n")
+    leg = sato.Leg(points, 30)
+    mission = FUZZ["make_mission"](start=points, legs=[leg]).draw(np.random.default_rng(0))
+    assert mission.agents == 2
+    assert mission.initial_states[:, 2:].tolist() == [[0.1, 0.0], [0.0, 0.2]]
+    with pytest.raises(ValueError, match="has velocities"):
+        read_formation(points.file)
+    with pytest.raises(sato.InputError, match="at rest"):
+        formation = [sato.FormationLeg("swarm4/Square")]
+        listed(tmp_path, "x,y,vx,vy\n0,0,1,0\n5,0,0,0\n0,5,0,0\n5,5,0,0\n")
+        sato.Formation(start=points, agents=4, legs=formation).draw(np.random.default_rng(0))
+    with pytest.raises(sato.InputError, match="stand in the file too"):
+        listed(tmp_path, "x,y,vx,vy\n0,0,0.1,0\n", velocities=[[1.0, 0.0]]).place(1, 2)
+
+
+def test_recorded_sticks_and_graphs_are_read_by_their_names(tmp_path):
+    file = tmp_path / "stick.csv"
+    file.write_text("vz;vx_mm_s;time_ms;vy\n1;2000;500;3\n4;5000;1500;6\n")
+    stick = RecordedStick(file=str(file)).without_file()
+    assert stick.times.tolist() == [0.5, 1.5]
+    assert stick.velocities.tolist() == [[2, 3, 1], [5, 6, 4]]
+    for header in ("vertex,weight", "i,i", "x,y", "i,j,k"):
+        file.write_text(f"{header}\n0,1\n1,2\n2,0\n")
+        with pytest.raises(ValueError, match="a header such as vertex,neighbor would do"):
+            read_graph(file, 3)
+
+
+# Quantities.
+
+
+def test_quantities_become_numbers_in_si_units():
+    chief = sato.Chief(semi_major_axis=7000 * u.km, inclination=REGISTRY.Quantity(45, "deg"))
+    assert chief == sato.Chief(semi_major_axis=7e6, inclination=np.radians(45))
+    assert sato.Loss("random", share=25 * u.percent).share == 0.25
+    assert sato.Connectivity(agents=3, duration=timedelta(minutes=2)).duration == 120.0
+    assert sato.Connectivity(agents=3, duration=np.timedelta64(5 * 10**9, "ns")).duration == 5.0
+    assert sato.Sphere([1 * u.km, 0 * u.m], 1.0).center == (1000.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sato.Ring(radius=5 * u.s), r"radius_m: must be a length, got 5\.0 s"),
+        (lambda: sato.Ring(radius=REGISTRY.Quantity(5, "s")), "must be a length, got 5 second"),
+        (lambda: sato.Loss("random", share=5 * u.m), "share: must be a number without a unit"),
+        (lambda: sato.Loss("random", share=5 * u.deg), "share: must be a number without a unit"),
+        (lambda: sato.Points([[1 * u.km, 2.0]]), "numbers with a unit and numbers without"),
+        (lambda: as_points(np.ones((3, 4)) * u.m), "one unit for positions and velocities"),
+        (lambda: as_points(SQUARE * u.s), "must be a length, got an array in s"),
+    ],
+)
+def test_quantities_of_another_kind_are_refused(make, message):
+    with pytest.raises(sato.InputError, match=message):
+        make()
+
+
+def test_quantities_of_other_packages_are_not_stripped():
+    class Meters(np.ndarray):
+        units = "m"
+
+    for value in (SQUARE.view(Meters), [SQUARE.view(Meters)[0]]):
+        with pytest.raises(sato.InputError, match="package that is not known"):
+            as_points(value)
+
+
+@pytest.mark.parametrize("key", ["comm_radius_m", "comm_radius_km", "comm_radius"])
+def test_tables_in_python_take_quantities_under_any_unit_of_a_key(key):
+    for given in (30 * u.m, REGISTRY.Quantity(0.03, "km")):
+        assert FUZZ["read_dict"](key, given).comm_radius == pytest.approx(30.0, rel=1e-15)
+
+
+@pytest.mark.parametrize("number", [np.int64(2), np.float32(2), np.array(2), 2])
+def test_every_number_of_numpy_is_scaled_by_the_unit_of_its_key(number):
+    assert FUZZ["read_dict"]("comm_radius_km", number).comm_radius == 2000.0
+
+
+def test_labels_beside_another_unit_of_a_key_are_refused():
+    data = read_data("crossing")
+    rows = {"x": [0.0, 5.0], "y": [0.0, 0.0]}
+    for table in (rows, pd.DataFrame(rows), pd.DataFrame(rows).to_records(index=False)):
+        data["swarm"]["start"] = {"kind": "points", "positions_km": table}
+        with pytest.raises(sato.InputError, match="is taken in the SI unit alone"):
+            sato.from_dict(data)
+
+
+# Tables of other packages.
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        pd.DataFrame(SQUARE[:, ::-1], columns=["y", "x"]),
+        pd.DataFrame(SQUARE[:, ::-1], columns=["y_m", "x [m]"]).T,
+        pd.DataFrame(SQUARE[::-1], columns=["x", "y"], index=pd.Index([3, 2, 1, 0], name="agent")),
+        xr.DataArray(SQUARE.T, dims=("axis", "agent")),
+        xr.DataArray(SQUARE[:, ::-1], dims=("agent", "axis"), coords={"axis": ["y", "x"]}),
+        xr.DataArray(SQUARE[::-1], dims=("agent", "axis"), coords={"agent": [3, 2, 1, 0]}),
+        xr.DataArray(SQUARE / 1000, dims=("agent", "axis"), attrs={"units": "km"}),
+        xr.Dataset({"y": ("agent", SQUARE[:, 1]), "x": ("agent", SQUARE[:, 0])}),
+        {"y": SQUARE[:, 1], "x": SQUARE[:, 0] / 1000 * u.km},
+        [Swapped(y, x) for x, y in SQUARE],
+        np.rec.fromarrays(SQUARE[:, ::-1].T, names="y,x"),
+    ],
+    ids=lambda table: type(table).__name__,
+)
+def test_tables_are_read_by_their_names(table):
+    np.testing.assert_allclose(as_points(table).positions, SQUARE, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (pd.DataFrame(SQUARE, columns=["n", "e"]), 'column "n" is of other axes'),
+        (pd.DataFrame(SQUARE).iloc[[2, 0, 1]], "index out of order"),
+        (pd.DataFrame(SQUARE, columns=["x", "y"]).astype(str), 'column "x" must be'),
+        (pd.DataFrame({"x": [1, pd.NaT], "y": [1, 2]}), 'column "x" must be'),
+        (xr.DataArray(SQUARE, dims=("a", "b")), "has dimensions a and b"),
+        (xr.DataArray(SQUARE, dims=("agent", "axis"), attrs={"units": "m/s"}), "has the unit"),
+        ([{"x": 1.0, "y": 2.0}, {"x": 1.0}], "rows of the same names"),
+        ({"x": [1.0], "y": [1.0, 2.0]}, "columns of different lengths"),
+        (
+            xr.DataArray(SQUARE, [("a", range(4)), ("axis", ["x_km", "y"])], attrs={"units": "m"}),
+            "unit in its name and in its attrs",
+        ),
+    ],
+)
+def test_tables_that_cannot_be_obeyed_are_refused(table, message):
+    with pytest.raises(sato.InputError, match=message):
+        as_points(table)
+
+
+def test_positions_of_a_run_are_a_start_of_the_next_mission():
+    run = sato.run("crossing")
+    ends = run.data.position.isel(time=-1)
+    np.testing.assert_array_equal(as_points(ends).positions, ends.values)
+    np.testing.assert_array_equal(as_points(ends[:, ::-1]).positions, ends.values)
+    with pytest.raises(sato.InputError, match="has the unit"):
+        as_points(run.data.velocity.isel(time=-1))
+
+
+def test_poses_velocities_and_centers_have_named_axes():
+    assert as_poses(pd.DataFrame([[1.0, 2, 3]], columns=list("zyx"))).positions.tolist() == [
+        [3.0, 2.0, 1.0]
+    ]
+    moving = pd.DataFrame(SQUARE, columns=["vy_mm_s", "vx"])
+    expected = SQUARE[:, ::-1] * [1, 1e-3]
+    np.testing.assert_allclose(sato.Points(SQUARE, moving).velocities, expected, rtol=1e-15)
+    assert sato.Sphere(pd.Series({"y": 1.0, "x": 2.0}), 1.0).center == (2.0, 1.0)
+
+
+# Settings.
+
+
+@pytest.mark.parametrize("overrides", [{"agents": 4}, [("swarm.agents", np.int64(4))]])
+def test_overrides_may_be_a_dict_or_pairs(overrides):
+    run = sato.run("random", overrides=overrides)
+    assert run.data.sizes["agent"] == 4
+    assert "swarm.agents = 4" in run.data.attrs["origin"]
+    assert run.check().kept
+
+
+@pytest.mark.parametrize("overrides", [5, [5], [("agents",)], {5: 4}, "agents=4"])
+def test_overrides_of_another_kind_are_refused(overrides):
+    with pytest.raises(sato.InputError, match="overrides: must"):
+        list_settings(overrides)
+    with pytest.raises(ValueError, match="agents"):
+        sato.run("random", overrides={"agents": {1, 2}})
+
+
+# Pictures.
+
+
+@pytest.mark.parametrize("high", [1, 15, 255, 4095, 65535])
+def test_dark_part_of_a_picture_is_the_same_in_any_range(tmp_path, high):
+    y, x = np.mgrid[:60, :80]
+    inside = (x - 30) ** 2 + (y - 30) ** 2 < 400
+    kinds = [np.uint8] if high < 256 else [np.uint16, np.float32, np.int32]
+    for kind in kinds:
+        path = tmp_path / "disk.tif"
+        Image.fromarray(np.where(inside, 0, high).astype(kind)).save(path)
+        assert np.ptp(sato.Picture(str(path)).draw(60, 2).points, axis=0).max() < 40
+
+
+def test_pictures_of_nearly_one_shade_are_refused(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "noise.tif"
+    for pixels in (
+        rng.integers(250, 256, (20, 20)),
+        np.full((20, 20), 3),
+        1000 + rng.random((9, 9)),
+    ):
+        Image.fromarray(pixels.astype(np.float32)).save(path)
+        with pytest.raises(ValueError, match="nearly of one shade"):
+            sato.Picture(str(path), spacing=1.0).place(5, 2)
+    Image.fromarray(np.full((9, 9), np.nan, np.float32)).save(path)
+    with pytest.raises(ValueError, match="not finite"):
+        sato.Picture(str(path), spacing=1.0).place(5, 2)
+
+
+def test_a_picture_that_is_nowhere_clear_is_read_by_its_shades(tmp_path):
+    gray = np.full((20, 20), 255, np.uint8)
+    gray[:, :10] = 0
+    bands = [Image.fromarray(band) for band in (gray, gray, gray, np.full_like(gray, 200))]
+    path = tmp_path / "veil.png"
+    Image.merge("RGBA", bands).save(path)
+    assert np.ptp(sato.Picture(str(path), height=20.0).place(50, 2)[:, 0]) < 10
+
+
+# Ratios and degrees.
+
+
+def test_ratios_of_separation_that_look_like_meters_are_refused():
+    for axes in ((0.6, 1.8), (0.3, 0.3), (2.0, 6.0)):
+        with pytest.raises(sato.InputError, match=r"separation_axes_m = .* keeps"):
+            FUZZ["make_mission"](separation_axes=axes, collision_radius=0.6)
+    for axes in ((1.0, 3.0), (0.8, 1.0)):
+        assert FUZZ["make_mission"](separation_axes=axes).ellipsoid == axes
+
+
+def test_semi_axes_in_meters_are_what_two_keep():
+    meters = FUZZ["make_mission"](separation_semi_axes=(0.6, 1.8), collision_radius=0.6)
+    ratio = FUZZ["make_mission"](separation_axes=(1.0, 3.0), collision_radius=0.6)
+    assert meters.ellipsoid == pytest.approx(ratio.ellipsoid, rel=1e-15)
+    assert "separation_axes_m = [" in meters.to_toml()
+    assert sato.parse(meters.to_toml()) == meters
+    for more in ({"separation_axes": (1.0, 3.0)}, {"collision_radius": (0.6,) * 3 + (0.7,)}):
+        with pytest.raises(sato.InputError, match="separation_axes_m"):
+            FUZZ["make_mission"](separation_semi_axes=(0.6, 1.8), **more)
+
+
+def test_angles_beyond_two_turns_are_refused_as_degrees():
+    for name in ("inclination", "raan", "arg_perigee", "true_anomaly"):
+        with pytest.raises(sato.InputError, match=rf"{name}: .* np\.radians\(45\) = 0\.785398"):
+            sato.Orbit.from_elements(7e6, **{name: 45.0})
+    for name in ("node", "perigee", "anomaly", "inclination"):
+        with pytest.raises(sato.InputError, match=rf"{name}_rad: .* np\.radians\(30\)"):
+            sato.Chief(semi_major_axis=7e6, **{name: 30.0})
+    with pytest.raises(sato.InputError, match=r"yaw: .* np\.radians\(90\)"):
+        FrameSettings(yaw=np.array([0.0, 90.0, 45.0]))
+    assert sato.Orbit.from_elements(7e6, true_anomaly=4 * np.pi).arg_latitude == 4 * np.pi
