@@ -219,8 +219,8 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
         if number is None or (kind is int and not isinstance(number, int)):
             return None
         if kind is float and isinstance(number, int):
-            number = float(number) if abs(number) <= LARGEST else np.nan
-        if not numbers.admit(number):
+            number = float(number) if abs(number) <= LARGEST else None
+        if number is None or not numbers.admit(number):
             return None
         if kind is int and is_bounded:
             return number
