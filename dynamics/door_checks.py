@@ -2,6 +2,7 @@
 
 import collections.abc
 import inspect
+import os
 import operator
 import re
 import types
@@ -40,6 +41,7 @@ ARRAYS: dict[str, tuple[str, Any, str]] = {
     "int2": ("iu", np.int64, "integers"),
     "complex64": ("iufc", complex, "finite numbers"),
 }
+LONGEST_NAME = 255  # of a file [byte]
 DIMENSION = re.compile(r"(?:(\d+)\*)?(\w+)(?:([+-])(\d+))?")  # 3, n, 2*d, T+1
 
 
@@ -151,12 +153,22 @@ FINITE = Numbers()
 @cache
 def checks_of(function: Any) -> dict[str, Check]:
     """Make the checks of a function's arguments, by name."""
-    hints, checks = get_type_hints(function, include_extras=True), {}
+    hints, checks = _read_hints(function), dict[str, Check]()
     for name, parameter in inspect.signature(function).parameters.items():
         numbers = Numbers(Allow(infinite=_is_infinite(parameter.default)))
         if (check := make_check(hints.get(name, Any), numbers)) is not None:
             checks[name] = check
     return checks
+
+
+def _read_hints(function: Any) -> dict[str, Any]:
+    """Evaluate the annotations; one that is imported for type checkers alone stays text."""
+    hints: dict[str, Any] = dict(function.__annotations__)
+    for name, hint in hints.items():
+        alone = types.SimpleNamespace(__annotations__={name: hint})
+        with suppress(NameError):
+            hints |= get_type_hints(alone, function.__globals__, include_extras=True)
+    return hints
 
 
 def _is_infinite(value: Any) -> bool:
@@ -166,12 +178,16 @@ def _is_infinite(value: Any) -> bool:
 def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     """Make the check of an annotation; None where it takes everything."""
     origin, parts = get_origin(hint), get_args(hint)
+    if isinstance(hint, str):
+        return _check_class_of_name(hint.rpartition(".")[2]) if hint[-1].isalnum() else None
     if origin is Annotated:
         return make_check(parts[0], numbers.with_marks(list(parts[1:])))
     if hasattr(hint, "dim_str"):
         return _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
-        each = [make_check(part, numbers) for part in parts if part is not type(None)]
+        # A path may be text, which no other text is to be taken for.
+        others = {type(None), str} if Path in parts else {type(None)}
+        each = [make_check(part, numbers) for part in parts if part not in others]
         return _check_union(each, type(None) in parts)
     if origin is Literal:
         return _check_literal(parts)
@@ -226,10 +242,19 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
     return _simple(words[kind] + numbers.words(), convert)
 
 
+def _is_path(value: Any) -> bool:
+    if not isinstance(value, str | PathLike):
+        return False
+    with suppress(ValueError):  # no file has a name with half a character, or 0, in it
+        names = os.fsencode(value).split(b"/")
+        return not any(b"\0" in name for name in names) and max(map(len, names)) <= LONGEST_NAME
+    return False
+
+
 PLAIN: dict[Any, tuple[str, Callable[[Any], Any]]] = {
     bool: ("True or False", lambda v: bool(v) if isinstance(v, bool | np.bool_) else None),
     str: ("text", lambda v: str(v) if isinstance(v, str) else None),
-    Path: ("a path", lambda v: v if isinstance(v, str | PathLike) else None),
+    Path: ("a path", lambda v: v if _is_path(v) else None),
     collections.abc.Callable: ("a function", lambda v: v if callable(v) else None),
 }
 
@@ -247,6 +272,13 @@ def _check_class(kind: type) -> Check:
         return value
 
     return Check(lambda sizes: wanted, convert)
+
+
+def _check_class_of_name(name: str) -> Check:
+    def convert(value: Any) -> Any:
+        return value if name in (kind.__name__ for kind in type(value).__mro__) else None
+
+    return _simple(f"a {name}", convert)
 
 
 def _check_literal(values: tuple[Any, ...]) -> Check:
@@ -284,7 +316,8 @@ def _check_union(checks: list[Check | None], is_optional: bool) -> Check | None:
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         if not isinstance(value, list | tuple | Array) or (type(value) is Array and not value.ndim):
-            raise InputError("", f"must be a list, got {describe(value)}")
+            cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
+            raise InputError("", f"must be a list, got {describe(value)}{cure}")
         if check is None:
             return value
         found = (check_entry(str(i), check, entry, sizes) for i, entry in enumerate(value))

@@ -20,6 +20,7 @@ from annotated_types import Ge, Gt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
+from dynamics.doors import check_methods
 from dynamics.inputs import as_array as as_array
 from dynamics.units import Key as Key
 from dynamics.units import Unit
@@ -53,6 +54,11 @@ class Definition:
     Raises:
         InputError: A field has a value that it cannot have, or two contradict each other.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let public methods of a definition of this package check their arguments."""
+        if cls.__module__.startswith("sato."):
+            check_methods(cls)
 
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""
