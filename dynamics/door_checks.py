@@ -2,8 +2,8 @@
 
 import collections.abc
 import inspect
-import os
 import operator
+import os
 import re
 import types
 from collections.abc import Callable, Mapping
