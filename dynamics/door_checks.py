@@ -163,11 +163,11 @@ def checks_of(function: Any) -> dict[str, Check]:
 
 def _read_hints(function: Any) -> dict[str, Any]:
     """Evaluate the annotations; one that is imported for type checkers alone stays text."""
-    hints: dict[str, Any] = dict(function.__annotations__)
+    hints, known = dict[str, Any](function.__annotations__), inspect.unwrap(function).__globals__
     for name, hint in hints.items():
         alone = types.SimpleNamespace(__annotations__={name: hint})
         with suppress(NameError):
-            hints |= get_type_hints(alone, function.__globals__, include_extras=True)
+            hints |= get_type_hints(alone, known, include_extras=True)
     return hints
 
 
@@ -203,7 +203,8 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
         return _check_list(make_check(parts[0], numbers))
     kind = origin or hint
-    return _check_class(kind) if isinstance(kind, type) and kind is not object else None
+    takes_all = kind in (Any, object) or not isinstance(kind, type)
+    return None if takes_all else _check_class(kind)
 
 
 def _simple(wanted: str, convert: Callable[[Any], Any]) -> Check:

@@ -154,7 +154,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
-    _check_format(file, data)
+    check_format(file, data)
     beside = file.with_name(SUMMARY_FILE)
     found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
     return data, initial_summary(data.attrs) if found is None else found
@@ -268,7 +268,12 @@ def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
     )
 
 
-def _check_format(file: Path, data: RunData) -> None:
+def check_format(file: Path | str, data: RunData) -> None:
+    """Refuse data that are not those of a run; the file is named in the message.
+
+    Raises:
+        RunFileError: They are of another version, or not of a run.
+    """
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
@@ -288,7 +293,7 @@ def _check_format(file: Path, data: RunData) -> None:
     _raise_if_missing(file, [name for name in needed if name not in data])
 
 
-def _raise_if_missing(file: Path, lacking: list[str]) -> None:
+def _raise_if_missing(file: Path | str, lacking: list[str]) -> None:
     if lacking:
         raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
 

@@ -169,14 +169,26 @@ def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, word
 @pytest.mark.parametrize(
     ("scenario", "options", "message"),
     [
-        (3, {}, "scenario: must be a name, a path, a mission or a dict, got an object of type int"),
-        ("crossing", {"overrides": "agents=3"}, "overrides: must be a list of texts"),
+        (3, {}, "scenario: must be a path, a Mission or a dict, got 3"),
+        (
+            "crossing",
+            {"overrides": "agents=3"},
+            'overrides: must be a list, got "agents=3"; ["agents=3"] would do',
+        ),
         (sato.parse(TINY), {"overrides": ["agents=3"]}, "overrides: cannot change a mission"),
-        ("crossing", {"seed": "a"}, 'seed: must be an integer from 0 to 2⁶⁴ − 1, got "a"'),
-        ("crossing", {"seed": 1.0}, "− 1, got 1.0"),
-        ("crossing", {"seed": True}, "− 1, got true"),
-        ("crossing", {"seed": -1}, "− 1, got -1"),
-        ("crossing", {"seed": 2**64}, f"− 1, got {2**64}"),
+        (
+            "crossing",
+            {"seed": "a"},
+            'seed: must be an integer at least 0 and below 1.84467e+19, got "a"',
+        ),
+        (
+            "crossing",
+            {"seed": 1.0},
+            "seed: must be an integer at least 0 and below 1.84467e+19, got 1.0",
+        ),
+        ("crossing", {"seed": True}, "got true"),
+        ("crossing", {"seed": -1}, "got -1"),
+        ("crossing", {"seed": 2**64}, f"got {2**64}"),
         ({"swarm": 3, "system": "reconfiguration"}, {}, "model.kind: is missing"),
         ({"swarm": 3} | {"system": "connectivity"}, {}, "swarm: must be a table, got 3"),
     ],
