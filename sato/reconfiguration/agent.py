@@ -21,6 +21,7 @@ from sato.reconfiguration.agent_inputs import (
     as_state,
     check_agent,
     check_inbox,
+    check_seen,
     checksum,
     select_messages,
 )
@@ -37,6 +38,7 @@ from sato.reconfiguration.state import DecisionContext, Event, begin_memory, upd
 from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
+from sato.scenario.errors import InputError, format_value
 
 
 class Agent:
@@ -141,7 +143,8 @@ class Agent:
         received = check_inbox(self.number, inbox, self.mission.link.is_ideal)
         before = self.memory.under_way
         if instant != self.memory.instant:
-            self.memory = self._begin_instant(instant, as_state(self.mission, state), seen)
+            things = check_seen(self.mission, seen)
+            self.memory = self._begin_instant(instant, as_state(self.mission, state), things)
         elif self.mission.link.is_ideal:
             self.memory = self._hear(received)
         if before is not None and self.memory.under_way is before:
@@ -201,6 +204,17 @@ class Agent:
                 f"with an entry for each number, {self.number + 1} or more, would do"
             )
         return with_targets(leg, np.tile(leg.targets, (self.number + 1, 1)))
+
+    @property
+    def memory(self) -> FlightMemory:
+        """Memory between two calls, which may be kept and given back."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: FlightMemory) -> None:
+        if not isinstance(memory, FlightMemory):
+            raise InputError("memory", f"must be that of an agent, got {format_value(memory)}")
+        self._memory = memory
 
     @property
     def is_finished(self) -> bool:

@@ -1,7 +1,7 @@
 """Inputs of one agent, checked: its number, its state, the time and its inbox."""
 
 from collections.abc import Sequence
-from math import floor, inf
+from math import floor
 from numbers import Integral
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -10,16 +10,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.door_checks import describe
+from dynamics.inputs import InputError, read_array
 from sato.network.synchronous_agent import Packet
+from sato.obstacles import Obstacle
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitment
+from sato.reconfiguration.surroundings import Sensed
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
 # Fields of the mission that agents must have in common to decide together.
 SHARED = "axes step horizon_steps foresight replan_steps auction_steps freeze_steps".split()
 SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
+MAX_INSTANT = 2**53  # beyond which times do not tell two of them apart
+HEADER_LIMITS = MAX_NUMBER, MAX_INSTANT, MAX_INSTANT  # of sender, instant, and stage or round
 
 
 class AgentMessage(NamedTuple):
@@ -61,9 +67,11 @@ def check_agent(
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
     if not _is_whole(number) or not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
-        raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {number!r}")
-    if target_count is not None and not (_is_whole(target_count) and target_count > 0):
-        raise ValueError(f"target_count must be a whole number above 0, got {target_count!r}")
+        got = describe(number)
+        raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {got}")
+    if target_count is not None and not (_is_whole(target_count) and 0 < target_count < 2**31):
+        got = describe(target_count)
+        raise ValueError(f"target_count must be a whole number above 0, got {got}")
     if leg is not None and not isinstance(leg, Leg):
         raise ValueError(f"leg must be a sato.Leg, got {type(leg).__name__}")
     if commitment is not None and not isinstance(commitment, Commitment):
@@ -99,11 +107,13 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     Raises:
         ValueError: The time is not one since the start of the mission.
     """
-    if not isinstance(time, float | int | np.number) or not 0 <= time < inf:
+    is_number = isinstance(time, float | np.floating) or _is_whole(time)
+    if not is_number or not 0 <= time < MAX_INSTANT * mission.step:
         raise ValueError(
-            f"{name} must be the seconds since the start of the mission, 0 or more, got {time!r}"
+            f"{name} must be the seconds since the start of the mission, 0 or more, "
+            f"got {describe(time)}"
         )
-    return floor(time / mission.step + INSTANT_PRECISION)
+    return floor(float(time) / mission.step + INSTANT_PRECISION)
 
 
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
@@ -114,14 +124,53 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     """
     n = 2 * mission.axes
     try:
-        array = np.asarray(state).astype(float, casting="safe")
-    except (TypeError, ValueError):
+        array = read_array(state).astype(float)
+    except InputError:
         array = np.zeros(0)
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ValueError(
-            f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
+            f"state must be {n} finite numbers, position [m] and velocity [m/s], "
+            f"got {describe(state)}"
         )
     return array
+
+
+def check_seen(mission: Reconfiguration, seen: Any) -> tuple[Sensed, ...]:
+    """Return what an agent has seen, with states as arrays.
+
+    Raises:
+        ValueError: It is no list of obstacles, and of numbers and states of lost vehicles.
+    """
+    if not isinstance(seen, list | tuple) or isinstance(seen, Obstacle):
+        raise ValueError(f"seen must be a list, got {describe(seen)}")
+    found: list[Sensed] = []
+    for k, thing in enumerate(seen):
+        if isinstance(thing, Obstacle) and thing.axes == mission.axes:
+            found.append(thing)
+            continue
+        is_pair = isinstance(thing, list | tuple) and len(thing) == 2
+        if not is_pair or not _is_whole(thing[0]) or not 0 <= thing[0] <= MAX_NUMBER:
+            raise ValueError(
+                f"seen.{k} must be an obstacle with {mission.axes} coordinates, or the number of a "
+                f"lost vehicle and its state, got {describe(thing)}"
+            )
+        found.append((int(thing[0]), as_state(mission, thing[1])))
+    return tuple(found)
+
+
+def _check_header(number: int, message: AgentMessage | AgentPacket) -> None:
+    """Refuse a message whose numbers are none, as those of another program may be."""
+    header = message if isinstance(message, AgentMessage) else message.packet
+    if not isinstance(header, AgentMessage | Packet):
+        got = describe(header)
+        raise ValueError(f"agent {number}: a packet must hold a Packet, got {got}")
+    for (name, value), most in zip(header._asdict().items(), HEADER_LIMITS, strict=False):
+        if not _is_whole(value) or not 0 <= value <= most:
+            reason = f"must be a whole number from 0 to {most}, got {describe(value)}"
+            raise ValueError(f"agent {number}: {name} of a message {reason}")
+    if isinstance(header, Packet) and not isinstance(header.contents, tuple):
+        got = describe(header.contents)
+        raise ValueError(f"agent {number}: contents of a message must be a tuple, got {got}")
 
 
 def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
@@ -144,6 +193,7 @@ def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
                 f"agent {number}: inbox must hold messages that other agents returned, got a "
                 f"{type(message).__name__}; leave out those of agents that have sent none"
             )
+        _check_header(number, message)
     if any(message.sender == number for message in inbox):
         raise ValueError(
             f"agent {number} hears an agent of its own number: give each its own, and leave out "
