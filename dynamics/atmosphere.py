@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION, OrbitStates, Scalars, Vectors
 
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
@@ -29,6 +30,7 @@ DENSITY_TABLE = (
 )
 
 
+@checked
 @dataclass(frozen=True)
 class Atmosphere:
     """Exponential atmosphere: density ρ₀ exp(−(h − h₀)/H) at altitude h above a sphere.

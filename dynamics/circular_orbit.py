@@ -13,11 +13,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import check_methods, checked
 from dynamics.model import LinearModel
 from dynamics.orbit import EARTH_MU, EARTH_RADIUS, K_J2, Orbit, Vectors, validate_inclination
 from dynamics.symbols import Number
 
 
+@check_methods
 class CircularOrbitModel(LinearModel):
     """Linear model of relative motion about a circular orbit.
 
@@ -87,6 +89,7 @@ class CircularOrbitModel(LinearModel):
         return velocity
 
 
+@checked
 @dataclass(frozen=True)
 class ClohessyWiltshire(CircularOrbitModel):
     """Clohessy–Wiltshire equations [Clohessy1960].
@@ -133,6 +136,7 @@ class ClohessyWiltshire(CircularOrbitModel):
         return self.n
 
 
+@checked
 @dataclass(frozen=True)
 class SchweighartSedwick(CircularOrbitModel):
     """Clohessy–Wiltshire equations with the J2 gradient averaged over the orbit [Schweighart2002].

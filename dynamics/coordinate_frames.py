@@ -21,9 +21,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.orbit import OrbitStates, Vectors, lvlh_rates
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LVLH:
     """LVLH coordinate frame of the chief at one instant or at many.
@@ -67,9 +70,9 @@ class LVLH:
             chief: Polar-nodal elements, as `Orbit.elements_at` returns them.
             k_J2: Strength of the oblateness, 0 for Keplerian motion [m⁵/s²].
         """
-        rates = lvlh_rates(chief, k_J2)
+        state, rates = inertial_state(chief), lvlh_rates(chief, k_J2)
         omega = np.stack([rates.omega_x, np.zeros_like(rates.omega_x), rates.omega_z], axis=-1)
-        return cls(inertial_state(chief), _axes_from_angles(chief), omega)
+        return cls(state, _axes_from_angles(chief), omega)
 
     def to_inertial(self, x: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
         """Convert LVLH states to inertial states.
@@ -101,10 +104,15 @@ class LVLH:
     def _add_agent_axes(self, part: Array, x: Array, own: int) -> Array:
         # Agent axes go between those of the instants and those of a vector or matrix.
         instants = part.ndim - own
+        if x.ndim > instants and x.shape[:instants] != part.shape[:instants]:
+            raise InputError(
+                "", f"the first axes must be those of the instants, {part.shape[:instants]}"
+            )
         agents = max(0, x.ndim - 1 - instants)
         return part.reshape(part.shape[:instants] + (1,) * agents + part.shape[instants:])
 
 
+@checked
 def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     """Convert inertial states to polar-nodal elements.
 
@@ -127,9 +135,12 @@ def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     return np.stack([r, radial, h, node, np.arctan2(tilt, normal[..., 2]), latitude], axis=-1)
 
 
+@checked
 def inertial_state(chief: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     """Convert polar-nodal elements to inertial states."""
     r, v_x, h = (part[..., None] for part in np.moveaxis(chief[..., :3], -1, 0))
+    if not ((r > 0) & (h > 0)).all():
+        raise InputError("chief", "the radius and the angular momentum must be above 0")
     axes = _axes_from_angles(chief)
     x, y = axes[..., 0, :], axes[..., 1, :]
     return np.concatenate([r * x, v_x * x + h / r * y], axis=-1)

@@ -4,22 +4,38 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf, isfinite
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.model import ControlSamples, LinearModel, NonlinearModel, StateSamples
+from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.inputs import InputError
+from dynamics.model import (
+    FlownControls,
+    FlownStates,
+    LinearModel,
+    NonlinearModel,
+    StateSamples,
+)
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 LINEARIZATION_BATCH = 256  # states, so few that they stay in the processor's cache
 BLOCK_STEPS = 16  # that are integrated at once
 ON_GRID = 1e-10  # of a step, within which it begins at a multiple of its length
 SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for rounding
+MAX_STEPS = 10**6  # of which the matrices fit in memory
 SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
+AgentStates = Annotated[Float[Array, "*agents n"], MAY_BE_NAN]  # of absent agents
+Duration = Annotated[float, Gt(0)]
+Count = Annotated[int, Ge(0), Le(MAX_STEPS)]
 
+
+@checked
 @dataclass(frozen=True, eq=False)
 class DiscreteModel:
     """x[k+1] = A[k] x[k] + B[k] u[k] + z[k],  k = 0 … T−1  [Morgan2016, eq. 10].
@@ -32,7 +48,7 @@ class DiscreteModel:
     A: Float[Array, "*agents T n n"]
     B: Float[Array, "*agents T n m"]
     z: Float[Array, "*agents T n"]
-    dt: float  # [s]
+    dt: Duration  # [s]
 
     def __len__(self) -> int:
         return int(self.A.shape[-3])
@@ -41,6 +57,12 @@ class DiscreteModel:
     def axes(self) -> int:
         """Dimension of space."""
         return int(self.B.shape[-1])
+
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of states and controls, and of agents with matrices of their own."""
+        (*agents, _, n, m) = self.B.shape
+        return {"n": n, "m": m} | ({"*agents": tuple(agents)} if agents else {})
 
     @cached_property
     def is_double_integrator(self) -> bool:
@@ -65,12 +87,14 @@ class DiscreteModel:
         """Take the steps of one of many agents."""
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
-    def respond(self, shares: Array | float = 1.0) -> Float[Array, "instants n Tm"]:
+    def respond(self, shares: Float[Array, " m"] | float = 1.0) -> Float[Array, "instants n Tm"]:
         """Return the matrices that take all controls, step by step, to changes of the states.
 
         Args:
             shares: Units of the controls, of each axis.
         """
+        if self.B.ndim > 3:
+            raise InputError("agent", "each agent has matrices; for_agent(i).respond() would do")
         T, n, m = self.B.shape
         R = np.zeros((T + 1, n, T * m))
         for k in range(T):
@@ -78,7 +102,7 @@ class DiscreteModel:
             R[k + 1, :, k * m : (k + 1) * m] += self.B[k] * shares
         return R
 
-    def simulate(self, x: Float[Array, "*agents n"], u: ControlSamples) -> StateSamples:
+    def simulate(self, x: AgentStates, u: FlownControls) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
         if A.ndim == 3:
@@ -93,12 +117,17 @@ class DiscreteModel:
             states.append(_matvec(A[k], states[-1]) + change)
         return np.stack(states, axis=-2)
 
-    def coast_to_end(self, x: Float[Array, "agents n"]) -> Float[Array, "agents n"]:
+    def coast_to_end(
+        self, x: Annotated[Float[Array, "agents n"], MAY_BE_NAN]
+    ) -> Float[Array, "agents n"]:
         """Return the last states of the free motion from x on."""
         return self.simulate(x, np.zeros((len(x), len(self), self.axes)))[:, -1]
 
 
-def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -> DiscreteModel:
+@checked
+def discretize_zoh(
+    model: LinearModel, dt: Duration, count: Count, t0: float = 0.0
+) -> DiscreteModel:
     """Discretize with a zero-order hold: the control is constant over each step.
 
     Exact for a time-invariant model [Morgan2016, eq. 11]. The equations of other models
@@ -131,8 +160,9 @@ def discretize_zoh(model: LinearModel, dt: float, count: int, t0: float = 0.0) -
     return DiscreteModel(A, B, z, dt)[begin : begin + count]
 
 
+@checked
 def linearize_along(
-    model: NonlinearModel, x: StateSamples, u: ControlSamples, dt: float, t0: float = 0.0
+    model: NonlinearModel, x: FlownStates, u: FlownControls, dt: Duration, t0: float = 0.0
 ) -> DiscreteModel:
     """Linearize and discretize about each agent's nominal trajectory.
 

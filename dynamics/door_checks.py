@@ -99,9 +99,9 @@ def _fit_one(size: int, dim: str, found: dict[str, Any]) -> bool:
 
 
 def _fit_many(shape: tuple[int, ...], dim: str, found: dict[str, Any]) -> bool:
-    name = dim.lstrip("*#")
-    if name == "...":
+    if dim == "...":
         return True
+    name = "*" + dim.lstrip("*#")  # not to be mistaken for the size of one axis
     known = found.setdefault(name, shape)
     if "#" not in dim:
         return bool(known == shape)
@@ -186,9 +186,9 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
         return _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
         # A path may be text, which no other text is to be taken for.
-        others = {type(None), str} if Path in parts else {type(None)}
-        each = [make_check(part, numbers) for part in parts if part not in others]
-        return _check_union(each, type(None) in parts)
+        skipped = {type(None), Symbol, *([str] if Path in parts else [])}
+        others = [part for part in parts if part not in skipped]
+        return _check_union([make_check(part, numbers) for part in others], parts)
     if origin is Literal:
         return _check_literal(parts)
     if hint in (float, int):
@@ -203,8 +203,7 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
         return _check_list(make_check(parts[0], numbers))
     kind = origin or hint
-    takes_all = kind in (Any, object) or not isinstance(kind, type)
-    return None if takes_all else _check_class(kind)
+    return _check_class(kind) if isinstance(kind, type) and kind not in (object, Any) else None
 
 
 def _simple(wanted: str, convert: Callable[[Any], Any]) -> Check:
@@ -228,6 +227,7 @@ def _read_number(value: Any) -> Any:
 def _check_number(kind: type, numbers: Numbers) -> Check:
     words = {int: "an integer", float: "a number" if numbers.allow.infinite else "a finite number"}
 
+    is_positive = any(getattr(mark, "gt", None) == 0 for mark in numbers.limits)
     is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
@@ -238,7 +238,9 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
             number = float(number) if abs(number) <= LARGEST else np.nan
         if not numbers.admit(number):
             return None
-        return number if kind is int and is_bounded else check_range(kind(number))
+        if kind is int and is_bounded:
+            return number
+        return check_range(kind(number)) if is_positive or abs(number) > 1 else kind(number)
 
     return _simple(words[kind] + numbers.words(), convert)
 
@@ -267,9 +269,9 @@ def _check_class(kind: type) -> Check:
         if not isinstance(value, kind):
             raise InputError("", f"must be {wanted}, got {describe(value)}")
         for name, size in getattr(value, "array_sizes", {}).items():
-            if sizes.known.setdefault(name, size) != size:
-                expected = f"must have {name} = {sizes.known[name]} as the others"
-                raise InputError("", f"{expected}, got {name} = {size}")
+            if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
+                reason = f"must be {sizes.known[name]} as of the others, got {size}"
+                raise InputError(name, reason)
         return value
 
     return Check(lambda sizes: wanted, convert)
@@ -292,14 +294,14 @@ def _check_literal(values: tuple[Any, ...]) -> Check:
     return _simple(join_names(map(format_value, values)), convert)
 
 
-def _check_union(checks: list[Check | None], is_optional: bool) -> Check | None:
+def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | None:
     if None in checks:
         return None
     each = [check for check in checks if check is not None]
 
     def convert(value: Any, sizes: Sizes) -> Any:
-        if value is None and is_optional:
-            return None
+        if type(value) in kinds and isinstance(value, Symbol | None):
+            return value
         for check in each:
             try:
                 return check.convert(value, sizes)
@@ -360,6 +362,8 @@ def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
 
 def _check_array(hint: Any, numbers: Numbers) -> Check:
     kinds, dtype, name = ARRAYS.get(hint.dtypes[0], ("iuf", float, "finite numbers"))
+    if "complex64" in hint.dtypes:
+        kinds = "iufc"
     if kinds == "iuf" and (numbers.allow.nan or numbers.allow.infinite):
         name = "real numbers"
     dims, takes_symbols = hint.dim_str.split(), "object_" in hint.dtypes
@@ -371,11 +375,11 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
         if takes_symbols and _has_symbols(value):
             return value
         is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
-        array = value if is_plain else _read_array(value, kinds, dtype)
+        array = value if is_plain else _read_array(value, kinds, dtype, takes_symbols)
         is_fit = array is not None and sizes.fit(array.shape, dims)
-        if not is_fit or (dtype in (float, complex) and not numbers.admit(array)):
+        if not is_fit or (dtype is not bool and not numbers.admit(array)):
             raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")
-        if dtype is float:
+        if array.dtype == float:
             check_range(array[np.isfinite(array)])
         if sizes.keeps_arrays:
             array = array.copy() if array is value and array.flags.writeable else array
@@ -385,20 +389,24 @@ def _check_array(hint: Any, numbers: Numbers) -> Check:
     return Check(wanted, convert)
 
 
-def _read_array(value: Any, kinds: str, dtype: Any) -> Any:
+def _read_array(value: Any, kinds: str, dtype: Any, takes_objects: bool) -> Any:
     if not (hasattr(value, "__len__") or hasattr(value, "__array__")):
         return None
+    if takes_objects and type(value) is Array and value.dtype == object:
+        value = value.tolist()  # numbers beside symbols
     array = read_array(value, kinds)
+    if dtype is float and array.dtype.kind == "c":
+        return array
     if dtype is bool and not ((array == 0) | (array == 1)).all():
         return None
     return array.astype(dtype)
 
 
 def _has_symbols(value: Any) -> bool:
-    if is_symbolic(value):
+    if is_symbolic(value) or isinstance(value, Symbol):
         return True
     is_array = type(value) is Array and value.dtype == object
-    return is_array and all(isinstance(entry, Symbol | float) for entry in value.ravel())
+    return is_array and any(isinstance(v, Symbol) or is_symbolic(v) for v in value.ravel())
 
 
 def describe(value: Any) -> str:

@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.model import LinearModel
 from dynamics.symbols import Number
 
 
+@checked
 @dataclass(frozen=True)
 class DoubleIntegrator(LinearModel):
     """r̈ = u in the plane or in space.

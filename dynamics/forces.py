@@ -7,9 +7,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
+from dynamics.doors import checked
 from dynamics.orbit import EARTH_MU, K_J2, OrbitStates, Scalars, Vectors
 
 
+@checked
 @dataclass(frozen=True)
 class Forces:
     """Two-body gravity, J2, and drag where there is an atmosphere.

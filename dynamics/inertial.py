@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state, orbit_axes, to_polar_nodal
+from dynamics.doors import checked
 from dynamics.forces import Forces
 from dynamics.model import Controls, States
 from dynamics.orbit import Orbit
@@ -26,6 +27,7 @@ RTOL = 1e-13  # of a step, for the chief's state and for offsets from it, and in
 OFFSET_ATOL = np.repeat([1e-10, 1e-13], 3)  # for offsets [m, m/s]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class InertialPlant(Plant):
     """Agents and their chief in inertial space, integrated together.

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.model import Controls, Jacobian, NonlinearModel, Rates, States, Times
 from dynamics.orbit import Orbit, Scalars, Vectors, lvlh_rates
 from dynamics.symbols import Numbers
@@ -19,6 +20,7 @@ X_AXIS = np.array([1.0, 0.0, 0.0])
 MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for positions with z ≠ 0
 
 
+@checked
 @dataclass(frozen=True)
 class J2(NonlinearModel):
     """Motion relative to a chief, both under two-body gravity and J2.
@@ -131,6 +133,7 @@ def gravity_gradient(R: Vectors, pole: Vectors, orbit: Orbit) -> Numbers[Array, 
     return np.asarray(gradient - eta2[..., None] * np.eye(3))
 
 
+@checked
 def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vectors:
     """Return the velocity of a J2-invariant relative orbit through a position [m/s].
 

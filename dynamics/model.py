@@ -4,23 +4,27 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, wraps
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import MAY_BE_NAN, check_methods, checked
 from dynamics.symbols import Number, Numbers, is_symbolic, make_function, to_array, to_casadi, trace
 
 # One instant, or many: the leading axes of times, states and controls broadcast.
 Times = Number | Numbers[Array, "*#k"]
-States = Numbers[Array, "*#k n"]
-Controls = Numbers[Array, "*#k m"]
+States = Annotated[Numbers[Array, "*#k n"], MAY_BE_NAN]  # of absent agents
+Controls = Annotated[Numbers[Array, "*#k m"], MAY_BE_NAN]
 Rates = Numbers[Array, "... n"]
 Jacobian = tuple[Numbers[Array, "... n n"], Numbers[Array, "... n m"]]
 # Samples of a trajectory of one agent or of many.
 StateSamples = Float[Array, "*agents instants n"]
 ControlSamples = Float[Array, "*agents T m"]
+# The same, with rows of NaN for absent agents.
+FlownStates = Annotated[StateSamples, MAY_BE_NAN]
+FlownControls = Annotated[ControlSamples, MAY_BE_NAN]
 Matrices = tuple[Numbers[Array, "k n n"], Numbers[Array, "k n m"], Numbers[Array, "k n"]]
 
 
@@ -28,6 +32,11 @@ class Model(ABC):
     """Equations of motion ẋ = f(t, x, u) with the state x = (position, velocity)."""
 
     axes: int  # dimension d of space: the state has 2d entries, the control d
+
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of states and controls."""
+        return {"n": 2 * self.axes, "m": self.axes}
 
     def __init_subclass__(cls) -> None:
         """Let the rate of every model take CasADi symbols."""
@@ -90,6 +99,7 @@ class NonlinearModel(Model):
         """
 
 
+@check_methods
 class LinearModel(Model):
     """ẋ = A(t) x + B u + z(t), where by default the control u is an acceleration.
 
@@ -130,6 +140,9 @@ class LinearModel(Model):
         Args:
             times: Times [s].
         """
+        if not len(times):
+            n, d = 2 * self.axes, self.axes
+            return np.zeros((0, n, n)), np.zeros((0, n, d)), np.zeros((0, n))
         each = [(self.A(t), self.B(t), self.z(t)) for t in times.tolist()]
         A, B, z = (np.array(part) for part in zip(*each, strict=True))
         return A, B, z
@@ -142,6 +155,7 @@ class LinearModel(Model):
         return np.asarray(change + z)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class SymbolicModel(NonlinearModel):
     """A model written in CasADi symbols and differentiated automatically.
@@ -194,6 +208,7 @@ class SymbolicModel(NonlinearModel):
         return rate, casadi.Function("jacobian", [t, x, u], derivatives)
 
 
+@checked
 @dataclass(frozen=True)
 class LinearizedModel(LinearModel):
     """A nonlinear model linearized about rest at the origin, which in orbit is the chief.

@@ -16,6 +16,8 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.symbols import Number, Numbers
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
@@ -30,6 +32,7 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
+MAX_TIME = 1e8  # three years; longer ones would be integrated for minutes [s]
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
 
@@ -43,6 +46,7 @@ class LVLHRates(NamedTuple):
     alpha_z: Scalars
 
 
+@checked
 @dataclass(frozen=True)
 class Orbit:
     """Orbit about the Earth, given by its osculating state at time 0.
@@ -154,8 +158,12 @@ class Orbit:
 
             return symbolic_elements(self, times)
         times = np.asarray(t, dtype=float)
-        if not (np.isfinite(times).all() and (times >= 0).all()):
-            raise ValueError(f"the chief's orbit is known from time 0 on, got t = {times.min()} s")
+        if not ((times >= 0) & (times <= MAX_TIME)).all():
+            wrong = times[~((times >= 0) & (times <= MAX_TIME))].flat[0]
+            raise InputError(
+                "t",
+                f"the chief's orbit is known from time 0 on, to {MAX_TIME:.0e} s, got {wrong} s",
+            )
         elements = np.empty((*times.shape, 6))
         segment = (times // SEGMENT_DURATION).astype(int)
         for j in range(int(segment.max(initial=0))):

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.discretize import discretize_zoh
+from dynamics.doors import check_methods, checked
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
 from dynamics.orbit import Orbit
 
@@ -18,6 +19,7 @@ RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
 ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
 
 
+@check_methods
 class Plant(ABC):
     """Motion of all agents under controls that are held.
 
@@ -51,6 +53,7 @@ class Plant(ABC):
         return None if self.chief_orbit is None else self.chief_orbit.elements_at(t)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class LinearPlant(Plant):
     """Agents that move exactly as a linear model says.
@@ -71,6 +74,7 @@ class LinearPlant(Plant):
         return np.moveaxis(steps.simulate(x, held), 1, 0)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class NonlinearPlant(Plant):
     """Agents that move exactly as a nonlinear model says, all in one integration.

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.coordinate_frames import radius_and_momentum
+from dynamics.doors import checked
 from dynamics.forces import Forces
 from dynamics.orbit import EARTH_RADIUS
 
@@ -32,6 +33,7 @@ class Impact(RuntimeError):
         self.time = time
 
 
+@checked
 def propagate(
     state: Float[Array, "agents 6"],
     times: Float[Array, " instants"],

@@ -12,7 +12,7 @@ bounds it for time-invariant models, `sampled_interpolation_error` estimates it 
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -22,7 +22,8 @@ from numpy import ndarray as Array
 from dynamics.closest_approach import closest_approaches
 from dynamics.convex_hulls import min_norm_points
 from dynamics.discretize import discretize_zoh
-from dynamics.model import ControlSamples, LinearModel, StateSamples
+from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.model import FlownControls, FlownStates, LinearModel
 from dynamics.orbit import Scalars
 
 MAX_PAIRS = 50_000  # of agents in pieces, that are compared at once
@@ -30,7 +31,9 @@ ALL_PAIRS_AGENTS = 24  # up to which pairs of all instants are compared at once
 ALL_PAIRS_POINTS = 200  # up to which all pairs are measured sooner than a tree is built
 
 Duration = float | Float[Array, " instants-1"]  # of all pieces, or of each [s]
-Samples = Float[Array, "*agents instants d"]  # positions or velocities at the instants
+# Positions or velocities at the instants; those of absent agents are NaN.
+AgentSamples = Annotated[Float[Array, "instants agents d"], MAY_BE_NAN]
+Samples = Annotated[Float[Array, "*agents instants d"], MAY_BE_NAN]
 
 
 class ClosestApproach(NamedTuple):
@@ -60,6 +63,7 @@ class Separations(NamedTuple):
         return ClosestApproach(float(self.distance[k]), piece, float(self.fraction[k]), (i, j))
 
 
+@checked
 def control_points(
     position: Samples, velocity: Samples, h: Duration
 ) -> Float[Array, "*agents instants-1 4 d"]:
@@ -76,6 +80,7 @@ def control_points(
     return np.stack([first, first + second, last - before_last, last], axis=-2)
 
 
+@checked
 def evaluate_bezier(points: Float[Array, "*k 4 d"], fraction: Scalars) -> Float[Array, "*k d"]:
     """Return the position on a piece at a fraction of its duration."""
     t = np.asarray(fraction)[..., None]
@@ -84,6 +89,7 @@ def evaluate_bezier(points: Float[Array, "*k 4 d"], fraction: Scalars) -> Float[
     return np.asarray(s**3 * b[0] + 3 * s**2 * t * b[1] + 3 * s * t**2 * b[2] + t**3 * b[3])
 
 
+@checked
 def divide_pieces(points: Float[Array, "*k 4 d"], parts: int) -> Float[Array, "*k parts 4 d"]:
     """Return the control points of equal parts of every piece."""
     return np.asarray(np.einsum("pij,...jd->...pid", division_matrices(parts), points))
@@ -106,6 +112,7 @@ def division_matrices(parts: int) -> Float[Array, "parts 4 4"]:
     return found
 
 
+@checked
 def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], Array]:
     """Return the minimum-norm point of the convex hull of four points, in 2D or 3D.
 
@@ -126,9 +133,10 @@ def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], A
     return distance.reshape(points.shape[:-2]), nearest.reshape(*points.shape[:-2], d)
 
 
+@checked
 def separations(
-    position: Float[Array, "instants agents d"],
-    velocity: Float[Array, "instants agents d"],
+    position: AgentSamples,
+    velocity: AgentSamples,
     alive: Bool[Array, "instants agents"],
     h: Duration,
     radii: Float[Array, " agents"] | None = None,
@@ -158,8 +166,9 @@ def separations(
     return found
 
 
+@checked
 def sampled_separations(
-    position: Float[Array, "instants agents d"], alive: Bool[Array, "instants agents"]
+    position: AgentSamples, alive: Bool[Array, "instants agents"]
 ) -> Float[Array, " instants"]:
     """Return the minimum distance of two live agents per instant, infinite for fewer than two."""
     present = alive & np.isfinite(position).all(axis=2)
@@ -172,6 +181,7 @@ def sampled_separations(
     return least
 
 
+@checked
 def min_distance(points: Float[Array, "k d"]) -> float:
     """Return the minimum distance of any two points, infinite for fewer than two.
 
@@ -201,8 +211,9 @@ def near_balls(middle: Float[Array, "k d"], radius: Float[Array, " k"]) -> Int[A
     return np.stack([i[near], j[near]], axis=1)
 
 
+@checked
 def interpolation_error(
-    model: LinearModel, x: StateSamples, u: ControlSamples, h: float, t0: float = 0.0
+    model: LinearModel, x: FlownStates, u: FlownControls, h: float, t0: float = 0.0
 ) -> float:
     """Return the largest distance of a trajectory from its cubic pieces [m].
 
@@ -230,6 +241,7 @@ def interpolation_error(
     return _midpoint_error(path[..., :d], path[..., d:], h / 2)
 
 
+@checked
 def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) -> float:
     """Estimate the largest distance of a trajectory from its cubic pieces [m].
 
@@ -255,8 +267,9 @@ def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) 
     return _midpoint_error(position, velocity, h) / 16
 
 
+@checked
 def interpolation_error_bound(
-    model: LinearModel, x: StateSamples, u: ControlSamples, h: float
+    model: LinearModel, x: FlownStates, u: FlownControls, h: float
 ) -> float:
     """Bound the distance of a trajectory from its cubic pieces, for time-invariant models [m].
 

@@ -9,11 +9,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.model import LinearModel, Matrices
 from dynamics.orbit import Orbit, Scalars, Vectors
 from dynamics.symbols import Numbers
 
 
+@checked
 @dataclass(frozen=True)
 class TschaunerHempel(LinearModel):
     """Tschauner–Hempel equations about the ellipse that is osculating at time 0.

@@ -8,7 +8,11 @@ Values are in SI units everywhere; other units exist only in the keys of scenari
 from math import pi
 from typing import Annotated, NamedTuple
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError, join_names
 
+
+@checked
 class Unit(NamedTuple):
     """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s²."""
 
@@ -17,11 +21,17 @@ class Unit(NamedTuple):
     @property
     def quantity(self) -> str:
         """Physical quantity that the unit measures."""
-        return SUFFIXES[self.suffix].quantity
+        return self._entry.quantity
 
     def __str__(self) -> str:
         """Spell the unit as in a formula."""
-        return SUFFIXES[self.suffix].symbol
+        return self._entry.symbol
+
+    @property
+    def _entry(self) -> "Suffix":
+        if self.suffix not in SUFFIXES:
+            raise InputError("suffix", f"must be {join_names(SUFFIXES)}, got {self.suffix!r}")
+        return SUFFIXES[self.suffix]
 
 
 class Key(NamedTuple):

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+
 
 class VehicleState(NamedTuple):
     """State of one vehicle or of many, with any leading axes."""
@@ -28,6 +30,7 @@ def vector_lengths(vectors: Float[Array, "*k d"]) -> Float[Array, "*k"]:
     return np.asarray(np.sqrt(np.vecdot(vectors, vectors)))
 
 
+@checked
 def rotate_by_yaw(
     vectors: Float[Array, "*#k 3"], yaw: Float[Array, "*#k"] | float
 ) -> Float[Array, "*#k 3"]:

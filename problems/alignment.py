@@ -7,7 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 
+
+@checked
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Rotation about the vertical followed by a translation: p ↦ R p + r."""
@@ -21,6 +24,7 @@ class Pose:
         return placed
 
 
+@checked
 def align(
     shape: Float[Array, "*#swarm k 3"],
     measured: Float[Array, "*#swarm k 3"],

@@ -5,7 +5,10 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
+from dynamics.doors import checked
 
+
+@checked
 def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
+from dynamics.doors import checked
 from problems.avoidance import AvoidanceProblem
 from problems.bang_off_bang import Burns, solve_burns
 from problems.conic import Unsolved
@@ -20,6 +21,7 @@ TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part o
 MAX_COORDINATES = 500_000  # of controls of all pairs that are computed at once
 
 
+@checked
 class TransferCosts(NamedTuple):
     """Least fuel or energy for every agent and target, without collision avoidance."""
 
@@ -28,6 +30,7 @@ class TransferCosts(NamedTuple):
     is_exact: Bool[Array, "agents targets"]  # else a lower bound: its path breaks a limit
 
 
+@checked
 def compute_transfer_costs(
     transfer: TransferProblem,
     start: Float[Array, "agents n"],
@@ -158,6 +161,7 @@ def _compute_energy_costs(
     return TransferCosts(energy, reachable, exact | ~reachable)
 
 
+@checked
 def solve_transfer(
     transfer: TransferProblem,
     start: Float[Array, " n"],
@@ -188,6 +192,7 @@ def compute_displacements(
     return np.asarray(targets - steps.coast_to_end(start)[:, None])
 
 
+@checked
 def compute_distances(
     steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets"]:
@@ -196,6 +201,7 @@ def compute_distances(
     return np.asarray(np.linalg.norm(targets[None, :, :d] - start[:, None, :d], axis=2))
 
 
+@checked
 def compute_energies(
     steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
 ) -> Float[Array, "agents targets"]:

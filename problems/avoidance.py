@@ -8,16 +8,18 @@ in continuous time.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import floor, inf, log
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Gt
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
+from dynamics.doors import checked
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
-from problems.half_spaces import HalfSpaces, empty_half_spaces
+from problems.half_spaces import HalfSpaces, Rows, empty_half_spaces
 from problems.limit import Limit
 from problems.solvers.verified import solve_program
 from problems.transfer import (
@@ -39,6 +41,7 @@ ROUNDING = 1e-6  # of the way to the goal
 MIN_ENERGY_UNIT = 1e-3  # in which energies are scaled, over that of a step at full control
 
 
+@checked
 class AvoidanceResult(NamedTuple):
     """Trajectory among half-spaces and the violations that its relaxation admits."""
 
@@ -47,6 +50,7 @@ class AvoidanceResult(NamedTuple):
     slack: float  # largest violation of a half-space [m]; rounding where it may not be relaxed
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class AvoidanceProblem:
     """Transfer of least fuel or energy inside half-spaces.
@@ -85,7 +89,7 @@ class AvoidanceProblem:
         """Make the problem of an agent without half-spaces."""
         return cls(transfer, start, goal, empty_half_spaces(transfer), solver)
 
-    def select(self, rows: Array) -> "AvoidanceProblem":
+    def select(self, rows: Rows) -> "AvoidanceProblem":
         """Keep some half-spaces, by a mask or by index."""
         return replace(self, half_spaces=self.half_spaces.select(rows))
 
@@ -132,7 +136,7 @@ class AvoidanceProblem:
             return slower if slower.terminal_error <= ROUNDING * extent else found
         return found
 
-    def slow_down(self, factor: float) -> "AvoidanceProblem":
+    def slow_down(self, factor: Annotated[float, Gt(0)]) -> "AvoidanceProblem":
         """Return the problem with another speed limit.
 
         Args:

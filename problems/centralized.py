@@ -11,13 +11,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from math import ceil, inf
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.closest_approach import closest_approaches
-from dynamics.discretize import discretize_zoh
+from dynamics.discretize import MAX_STEPS, discretize_zoh
+from dynamics.doors import checked
 from dynamics.model import ControlSamples, LinearModel, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.centralized_nlp import (
@@ -46,6 +49,10 @@ ITERATIONS_BEFORE_PADDING = 3  # after which the required distance is padded for
 MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations are padded at once
 
 
+Positive = Annotated[float, Gt(0)]
+
+
+@checked
 @dataclass(frozen=True, eq=False)
 class CentralizedProblem:
     """Joint transfers of all agents without collisions.
@@ -79,7 +86,7 @@ class CentralizedProblem:
     transfer: TransferProblem
     horizon: AvoidanceHorizon
     own_transfers: tuple[TransferProblem, ...] = ()
-    clearances: Float[Array, " agents"] | None = None
+    clearances: Annotated[Float[Array, " agents"], Gt(0)] | None = None
 
     def __post_init__(self) -> None:
         """Refuse fuel without derivatives, and what is inconsistent."""
@@ -103,17 +110,23 @@ class CentralizedProblem:
                 f"and {len(self.transfer.model)}"
             )
 
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of states, controls, steps and, where they differ, agents."""
+        each = self.own_transfers or (() if self.clearances is None else self.clearances)
+        return self.transfer.array_sizes | ({"agents": len(each)} if len(each) else {})
+
     @classmethod
     def from_model(
         cls,
         model: LinearModel,
-        step: float,
-        steps: int,
-        collision_radius: float,
-        max_control: float,
-        max_speed: float = inf,
+        step: Positive,
+        steps: Annotated[int, Ge(1), Le(MAX_STEPS)],
+        collision_radius: Positive,
+        max_control: Positive,
+        max_speed: Positive = inf,
         objective: Objective = "fuel",
-        pieces: int = 4,
+        pieces: Annotated[int, Ge(1), Le(1000)] = 4,
     ) -> "CentralizedProblem":
         """Discretize a model from time 0 on.
 

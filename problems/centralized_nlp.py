@@ -3,13 +3,16 @@
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf, isfinite
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, bsr_array, csc_matrix, eye_array, hstack
 
+from dynamics.doors import checked
+from dynamics.symbols import Numbers
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.limit import Limit
 from problems.transfer import TransferProblem
@@ -71,6 +74,10 @@ class SeparationConstraints(NamedTuple):
         return self._replace(min_distance=self.min_distance + added)
 
 
+Count = Annotated[int, Ge(1)]
+
+
+@checked
 @dataclass(frozen=True, eq=False)
 class NonlinearProgram:
     """Nonlinear program of all agents, for any solver of `casadi.nlpsol`.
@@ -90,11 +97,11 @@ class NonlinearProgram:
 
     problem: dict[str, Any]
     arguments: dict[str, Array]
-    shape: tuple[int, int, int]
-    state_units: Float[Array, " n"]
-    control_unit: float
+    shape: tuple[Count, Count, Count]
+    state_units: Annotated[Float[Array, " n"], Gt(0)]
+    control_unit: Annotated[float, Gt(0)]
 
-    def trajectories(self, x: Any) -> InitialGuess:
+    def trajectories(self, x: Numbers[Array, "..."]) -> InitialGuess:
         """Return states and controls of all agents, from a value of "x"."""
         N, T, m = self.shape
         states = N * (T + 1) * 2 * m

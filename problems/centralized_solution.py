@@ -7,11 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.conic import Unsolved
 
 FEASIBILITY_TOLERANCE = 1e-6  # of simulated violations, in units of R, R/Δt, U and V
 
 
+@checked
 class SimulatedSolution(NamedTuple):
     """Controls of all agents, their simulation, and its violations."""
 
@@ -63,6 +65,7 @@ class NoFeasibleSolution(Unsolved):
         return type(self), (self.problem, self.solutions)
 
 
+@checked
 class CentralizedResult(NamedTuple):
     """Best feasible solution, and all solutions."""
 

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
 from math import isqrt
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, tril, triu
+
+from dynamics.doors import checked
 
 TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
 RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
@@ -21,6 +24,7 @@ Status = Literal["solved", "infeasible", "stopped"]
 Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class ConicProgram:
     """Linear or convex quadratic cost over a product of cones.
@@ -49,8 +53,8 @@ class ConicProgram:
     q: Float[Array, " n"]
     A: csc_array
     b: Float[Array, " m"]
-    zero: int
-    nonnegative: int
+    zero: Annotated[int, Ge(0)]
+    nonnegative: Annotated[int, Ge(0)]
     soc_sizes: tuple[int, ...] = ()
     psd_orders: tuple[int, ...] = ()
     P: csc_array | None = None
@@ -77,6 +81,11 @@ class ConicProgram:
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
         if self.P is not None:
             _check_convex(self.P, len(self.q))
+
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of points and of rows."""
+        return {"n": len(self.q), "m": len(self.b)}
 
     @cached_property
     def hessian(self) -> csc_array:
@@ -230,6 +239,7 @@ def _max_or_nan(numbers: Sequence[float | np.floating]) -> float:
     return float(np.max(np.array(numbers)))
 
 
+@checked
 class SolverResult(NamedTuple):
     """Result as a solver reports it, not yet verified."""
 
@@ -240,6 +250,7 @@ class SolverResult(NamedTuple):
     iterations: int | None = None
 
 
+@checked
 class ConicSolution(NamedTuple):
     """Primal and dual point, with residuals recomputed from their numbers."""
 
@@ -250,7 +261,9 @@ class ConicSolution(NamedTuple):
     gap: float  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
 
     @classmethod
-    def evaluate(cls, problem: ConicProgram, x: Array, y: Array) -> "ConicSolution":
+    def evaluate(
+        cls, problem: ConicProgram, x: Float[Array, " n"], y: Float[Array, " m"]
+    ) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
         curvature = problem.hessian @ x
@@ -306,7 +319,10 @@ class Verification(NamedTuple):
     ray: Float[Array, " m"] | None = None  # the verified certificate of infeasibility
 
 
-def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Verification:
+@checked
+def verify(
+    problem: ConicProgram, result: SolverResult, tolerance: Annotated[float, Gt(0)]
+) -> Verification:
     """Recompute residuals, gap and certificates of a solver's result.
 
     The verdict is *solved* for a point with residuals and gap within the tolerance, even where
@@ -341,6 +357,7 @@ def verify(problem: ConicProgram, result: SolverResult, tolerance: float) -> Ver
     return Verification(kind, found, reason)
 
 
+@checked
 def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
     """Check a certificate of infeasibility.
 

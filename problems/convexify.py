@@ -8,13 +8,15 @@ normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
+from dynamics.doors import checked
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.half_spaces import HalfSpaces, separate_points
@@ -25,6 +27,7 @@ PassingSide = Literal["same", "opposite", "above", "below", "nominal"]
 SEPARATION_TOLERANCE = 1e-6  # part of R that planned trajectories keep in addition
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class AvoidanceHorizon:
     """Steps of collision avoidance, divided into pieces between the samples.
@@ -42,11 +45,16 @@ class AvoidanceHorizon:
 
     discrete_model: DiscreteModel
     fine_model: DiscreteModel
-    clearance: float
-    scale: tuple[float, ...] | None = None
+    clearance: Annotated[float, Gt(0)]
+    scale: tuple[Annotated[float, Gt(0)], ...] | None = None
     samples_only: bool = False
 
-    def with_clearance(self, clearance: float) -> "AvoidanceHorizon":
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of space, states and controls."""
+        return {**self.discrete_model.array_sizes, "d": self.discrete_model.axes}
+
+    def with_clearance(self, clearance: Annotated[float, Gt(0)]) -> "AvoidanceHorizon":
         """Return the horizon of a vehicle with another clearance."""
         if clearance == self.clearance:
             return self
@@ -144,9 +152,10 @@ class AvoidanceHorizon:
         return np.ascontiguousarray(np.concatenate([P, Q], axis=2).swapaxes(1, 2)), r
 
 
+@checked
 def convexify(
     horizon: AvoidanceHorizon,
-    T: int,
+    T: Annotated[int, Ge(1)],
     others: Float[Array, "others pieces 4 d"],
     normal: Float[Array, "others pieces d"],
     separation: Separation | None = None,
@@ -172,7 +181,7 @@ def convexify(
 
 def convexify_end(
     horizon: AvoidanceHorizon,
-    T: int,
+    T: Annotated[int, Ge(1)],
     others: Float[Array, "others pieces 4 d"],
     normal: Float[Array, "others pieces d"],
     separation: Float[Array, " others"],
@@ -196,9 +205,10 @@ def convexify_end(
     return HalfSpaces(step_index, flat @ P, flat @ Q, rhs.flatten())
 
 
+@checked
 def choose_normals(
-    relative: Float[Array, "above pieces 4 d"], separation: Separation, side: PassingSide = "same"
-) -> Float[Array, "above pieces d"]:
+    relative: Float[Array, "others pieces 4 d"], separation: Separation, side: PassingSide = "same"
+) -> Float[Array, "others pieces d"]:
     """Choose the unit normals of the half-spaces, one a piece [Morgan2016, Fig. 2].
 
     Over a piece without conflict: from the other agent to the nominal trajectory, which then

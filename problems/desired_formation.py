@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -10,11 +9,14 @@ from numpy import ndarray as Array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import pdist, squareform
 
+from dynamics.doors import checked
+
 FLATNESS_TOLERANCE = 0.01  # half the range of heights that counts as flat [m]
 MAX_COORDINATE = 1e9  # squares must not overflow, and rounding must stay below a meter [m]
 COINCIDENCE_TOLERANCE = 1e-9  # of the extent: points closer than this coincide
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class DesiredFormation:
     """Shape and measurement graph of a formation [Lusk2020, sec. II].
@@ -39,9 +41,7 @@ class DesiredFormation:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse invalid points and graphs; take lists, and integers, as arrays."""
-        object.__setattr__(self, "points", _as_points(self.points))
-        object.__setattr__(self, "graph", _as_graph(self.graph))
+        """Refuse invalid points and graphs."""
         _validate_points(self.points)
         _validate_graph(self.graph, len(self.points))
 
@@ -100,30 +100,6 @@ def _kernel_basis(column: Array, extent: float) -> Array:
     size = np.linalg.norm(centered)
     columns = [centered / size, ones] if size > COINCIDENCE_TOLERANCE * extent else [ones]
     return np.stack(columns, axis=1)
-
-
-def _as_points(value: Any) -> Array:
-    points = _as_matrix(value, "points")
-    if points.dtype.kind not in "iuf" or points.shape[1:] != (3,):
-        found = f"an array of shape {points.shape} of {points.dtype}"
-        raise ValueError(f"points must be rows of three real numbers [m], got {found}")
-    return points.astype(float, copy=False)
-
-
-def _as_graph(value: Any) -> Array:
-    graph = _as_matrix(value, "the graph")
-    if graph.dtype.kind not in "biu" or not ((graph == 0) | (graph == 1)).all():
-        raise ValueError("the graph must be a matrix of True and False, or of 1 and 0")
-    return graph.astype(bool, copy=False)
-
-
-def _as_matrix(value: Any, name: str) -> Array:
-    if isinstance(value, np.ma.MaskedArray):
-        raise ValueError(f"{name} must not be a masked array; value.filled(...) is a plain one")
-    try:
-        return np.asarray(value)
-    except ValueError as error:
-        raise ValueError(f"{name} must have rows of one length") from error
 
 
 def _validate_points(points: Array) -> None:

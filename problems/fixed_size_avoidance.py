@@ -7,15 +7,18 @@ is compiled, so its size is fixed, and only its parameters change.
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.transfer import TransferProblem
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class FixedSizeAvoidanceProblem:
     """`AvoidanceProblem` for q = 1 and r = ∞, scaled to the order of 1.
@@ -32,8 +35,8 @@ class FixedSizeAvoidanceProblem:
     """
 
     transfer: TransferProblem  # with the same matrices at every step
-    horizon_steps: int  # steps with half-spaces
-    rows_per_step: int  # largest number of half-spaces in each of these
+    horizon_steps: Annotated[int, Ge(0)]  # steps with half-spaces
+    rows_per_step: Annotated[int, Ge(0)]  # largest number of half-spaces in each of these
 
     def __post_init__(self) -> None:
         """Refuse other norms and time-varying matrices."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy import ndarray as Array
 from threadpoolctl import ThreadpoolController
 
+from dynamics.doors import checked
 from problems import gain_admm
 from problems.conic import Unsolved
 from problems.desired_formation import DesiredFormation
@@ -67,6 +68,7 @@ class GainDesignUndecided(RuntimeError):
         )
 
 
+@checked
 def design_gains(
     formation: DesiredFormation,
     method: GainMethod = "auto",

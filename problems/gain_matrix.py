@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
@@ -18,6 +19,7 @@ RESIDUAL_TOLERANCE = 1e-8  # relative; gains with larger residuals are of anothe
 READ_ERRORS = (ValueError, TypeError, LookupError, EOFError, OSError, RuntimeError, BadZipFile)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GainMatrix:
     """Gain matrix A of q̇ = A q with its convergence rate and bounds [Lusk2020, eq. 3].

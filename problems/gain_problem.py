@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from scipy.linalg import cho_factor, null_space
 from scipy.linalg.lapack import dpotrs
 
+from dynamics.doors import checked
 from problems.desired_formation import DesiredFormation
 from problems.hermitian_eigenvalues import least_eigenvalue
 
@@ -45,6 +46,7 @@ class GainSolution(NamedTuple):
     Y: Inexact[Array, "n n"]  # dual matrix on the non-edges
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class GainProblem:
     """Fastest horizontal or vertical gains of a formation.

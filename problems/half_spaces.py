@@ -1,30 +1,49 @@
 """Half-spaces for the control points of a trajectory: collision constraints, made convex."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from dynamics.model import ControlSamples, StateSamples
-from problems.transfer import TransferProblem
+from dynamics.doors import checked
+from dynamics.inputs import InputError
+from problems.transfer import Expression, TransferProblem
+
+Rows = Bool[Array, " own_rows"] | Int[Array, " kept"]  # a mask, or numbers of rows
 
 
+@checked
 class HalfSpaces(NamedTuple):
     """Linear constraints state_coeffs · x[step] + control_coeffs · u[step] ≥ rhs, one a row."""
 
-    step_index: Int[Array, " rows"]
+    step_index: Annotated[Int[Array, " rows"], Ge(0)]
     state_coeffs: Float[Array, "rows n"]
     control_coeffs: Float[Array, "rows m"]
     rhs: Float[Array, " rows"]
 
-    def violation(self, x: StateSamples, u: ControlSamples) -> Float[Array, " rows"]:
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of states, controls and, for its own methods, rows."""
+        n, m = self.state_coeffs.shape[1], self.control_coeffs.shape[1]
+        return {"n": n, "m": m, "own_rows": len(self.rhs)}
+
+    def violation(
+        self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
+    ) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
-        x, u = np.take(x, self.step_index, axis=0), np.take(u, self.step_index, axis=0)
+        try:
+            x, u = np.take(x, self.step_index, axis=0), np.take(u, self.step_index, axis=0)
+        except IndexError as error:
+            last = int(self.step_index.max())
+            raise InputError("u", f"must have {last + 1} steps at least, got {len(u)}") from error
         on_x = np.einsum("rn,rn->r", self.state_coeffs, x)
         return np.asarray(self.rhs - on_x - np.einsum("rm,rm->r", self.control_coeffs, u))
 
-    def to_cvxpy(self, x: Any, u: Any) -> Any:
+    def to_cvxpy(
+        self, x: Float[Array, "instants n"] | Expression, u: Float[Array, "T m"] | Expression
+    ) -> Any:
         """Express the left-hand sides in CVXPY variables."""
         import cvxpy as cp
 
@@ -32,7 +51,7 @@ class HalfSpaces(NamedTuple):
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
     def condense(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+        self, transfer: TransferProblem, free: Float[Array, "T+1 n"]
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
 
@@ -45,23 +64,26 @@ class HalfSpaces(NamedTuple):
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
     def condense_breakable(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+        self, transfer: TransferProblem, free: Float[Array, "T+1 n"]
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Condense the rows that some controls within the limit break; most hold for any."""
         coeffs, rhs = self.condense(transfer, free)
         breakable = transfer.control_limit.most * np.abs(coeffs).sum(axis=1) > rhs
         return coeffs[breakable], rhs[breakable]
 
-    def select(self, rows: Array) -> "HalfSpaces":
+    def select(self, rows: Rows) -> "HalfSpaces":
         """Select rows by a mask or by index."""
-        return HalfSpaces(*(field[rows] for field in self))
+        try:
+            return HalfSpaces(*(field[rows] for field in self))
+        except IndexError as error:
+            raise InputError("rows", f"{error}, of {len(self.rhs)} half-spaces") from error
 
     def join(self, others: "HalfSpaces") -> "HalfSpaces":
         """Return these rows and those of others."""
         return HalfSpaces(*(np.concatenate(both) for both in zip(self, others, strict=True)))
 
     def find_peaks(
-        self, violation: Float[Array, " rows"], tolerance: float
+        self, violation: Float[Array, " own_rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
         step, worst = self.step_index, self._worst_of_steps(violation, tolerance)
@@ -71,7 +93,7 @@ class HalfSpaces(NamedTuple):
         return np.asarray(is_worst & is_peak[step + 1])
 
     def worst_per_step(
-        self, violation: Float[Array, " rows"], tolerance: float
+        self, violation: Float[Array, " own_rows"], tolerance: float
     ) -> Bool[Array, " rows"]:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
         worst = self._worst_of_steps(violation, tolerance)[self.step_index + 1]
@@ -84,6 +106,7 @@ class HalfSpaces(NamedTuple):
         return worst
 
 
+@checked
 def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
     """Return no half-spaces, for an agent without conflicts."""
     n, m = transfer.model.B.shape[1:]

@@ -13,6 +13,8 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.units import Key, Length
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
 
@@ -26,6 +28,7 @@ Yaws = Float[Array, "*k n"]
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
 
 
+@checked
 class Camera(NamedTuple):
     """Range and field of view of an agent's camera [Bernard2023, Table I]."""
 
@@ -66,6 +69,7 @@ class Lambda2Gradient(NamedTuple):
     yaw: Yaws  # [1/rad]
 
 
+@checked
 def cosine_ramp(x: Numbers, low: float, high: float) -> Numbers:
     """Rise from 0 at `low` to 1 at `high` along half a cosine [Bernard2023, eq. 7]."""
     return (1 - np.cos(_ramp_phase(x, low, high))) / 2
@@ -79,9 +83,12 @@ def cosine_ramp_and_slope(x: Numbers, low: float, high: float) -> tuple[Numbers,
 
 
 def _ramp_phase(x: Numbers, low: float, high: float) -> Numbers:
+    if not low < high:
+        raise InputError("high", f"must be above {low}, where the ramp begins, got {high}")
     return pi * (np.minimum(np.maximum(x, low), high) - low) / (high - low)
 
 
+@checked
 def range_weight(d: Numbers, camera: Camera) -> Numbers:
     """Compute γ at a distance [Bernard2023, eq. 9]."""
     near = cosine_ramp(d, camera.d_min, camera.d_near)
@@ -137,6 +144,7 @@ def edge_weights(
     return EdgeWeights(gamma * view, f, gamma, gradients)
 
 
+@checked
 def interaction_graph(position: Positions, yaw: Yaws, camera: Camera) -> EdgeWeights:
     """Compute the weights of all edges of one swarm or of several [Bernard2023, eq. 6–13].
 
@@ -160,11 +168,13 @@ def bearings(
     return distance, rotate_by_yaw(gap, -yaw[..., None]) * scale[..., None]
 
 
+@checked
 def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
     """Build the Laplacian L = diag(Σ_j A_ij) − A."""
     return _laplacian(weight, weight.sum(axis=-1))
 
 
+@checked
 def algebraic_connectivity(
     weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"] | None = None
 ) -> AlgebraicConnectivity:
@@ -189,6 +199,7 @@ def algebraic_connectivity(
     return AlgebraicConnectivity(value[..., 1], third, gradient)
 
 
+@checked
 def spectral_slope(
     weight: Float[Array, "*k n n"],
     slope: Callable[[Float[Array, "*k n-1"]], Float[Array, "*k n-1"]],
@@ -258,6 +269,7 @@ def _select_eigenvalues(
     return value, value[..., 1], value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
 
 
+@checked
 def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2Gradient:
     """Compute the gradient of λ₂ [Bernard2023, eq. 4].
 

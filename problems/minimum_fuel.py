@@ -18,14 +18,16 @@ bound, which certifies that b is unreachable.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
 
 from dynamics import DiscreteModel
+from dynamics.doors import checked
 from problems.bang_off_bang import is_concave, solve_burns
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, choose_basis, solve_batches
@@ -46,12 +48,13 @@ class MinimumFuelSolutions(NamedTuple):
     fuel: Float[Array, " programs"]  # Δt Σ |u| [m/s]; infinite where unreachable
 
 
+@checked
 def solve_minimum_fuel(
     steps: DiscreteModel,
     displacement: Float[Array, "programs n"],
     max_control: Bound,
     weight: Float[Array, " T"],
-    batches: int = DEFAULT_BATCHES,
+    batches: Annotated[int, Ge(1)] = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:
     """Solve many transfers of least fuel without a speed limit.
 
@@ -127,6 +130,7 @@ def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) ->
         raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
 
 
+@checked
 def reachability_matrix(steps: DiscreteModel) -> Float[Array, "*agents n T m"]:
     """Compute C, the response of the last state to a unit of each u[k]."""
     C = np.empty_like(np.swapaxes(steps.B, -3, -2))

@@ -5,20 +5,23 @@ free to move, and a half-space constrains their relative trajectory.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, csc_array, vstack
 
+from dynamics.doors import checked
 from problems.avoidance import AvoidanceProblem, cost_unit, solve_condensed
 from problems.conic import ConicProgram
 from problems.convexify import AvoidanceHorizon, convexify
-from problems.half_spaces import HalfSpaces
+from problems.half_spaces import HalfSpaces, Rows
 from problems.transfer import Trajectory, solve_cvxpy, solve_within_speed
 
 
+@checked
 class RelativeHalfSpaces(NamedTuple):
     """Constraints on both agents: rows add up, lhs₁ + lhs₂ ≥ rhs₁ + rhs₂."""
 
@@ -29,7 +32,7 @@ class RelativeHalfSpaces(NamedTuple):
     def from_normals(
         cls,
         horizon: AvoidanceHorizon,
-        T: int,
+        T: Annotated[int, Ge(1)],
         normal: Float[Array, "pieces d"],
         separation: float | None = None,
     ) -> "RelativeHalfSpaces":
@@ -52,11 +55,12 @@ class RelativeHalfSpaces(NamedTuple):
         rows = self.first.violation(first.x, first.u) + self.second.violation(second.x, second.u)
         return np.asarray(rows)
 
-    def select(self, rows: Array) -> "RelativeHalfSpaces":
+    def select(self, rows: Rows) -> "RelativeHalfSpaces":
         """Select rows by a mask or by index."""
         return RelativeHalfSpaces(self.first.select(rows), self.second.select(rows))
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class PairProblem:
     """Two transfers that keep the distance from each other.

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.convex_hulls import are_outside
+from dynamics.doors import checked
 from dynamics.trajectory_geometry import hull_distance
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
@@ -15,6 +16,7 @@ BOX_PIECES = 8  # of a path, about which one box is compared with those of other
 ROUNDING = 1e-9  # relative, of distances
 
 
+@checked
 def are_hulls_separated(
     relative: ControlPoints, radius: Separation, is_exact: bool = True
 ) -> Bool[Array, "*pairs"]:

@@ -5,9 +5,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, hstack, vstack
 
+from dynamics.doors import checked
 from problems.conic import ConicProgram, svec
 
 
+@checked
 def relax_cones(problem: ConicProgram) -> ConicProgram:
     """Pose the program of the least violation of the cones.
 

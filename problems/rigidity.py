@@ -18,6 +18,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.linalg import null_space
 
+from dynamics.doors import checked
+
 RANK_TOLERANCE = 1e-9  # relative: smaller singular values are zeros with rounding errors
 Dimension = Literal[2, 3]
 Graph = Bool[Array, "n n"]
@@ -37,11 +39,13 @@ def rigidity_matrix(points: Float[Array, "n d"], graph: Graph) -> Float[Array, "
     return R.reshape(len(i), n * d)
 
 
+@checked
 def is_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the graph is rigid at points in general position."""
     return _is_rigid(graph, dimension, _self_stresses(graph, dimension, rng))
 
 
+@checked
 def is_redundantly_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the graph stays rigid, in general position, without any one edge.
 
@@ -53,6 +57,7 @@ def is_redundantly_rigid(graph: Graph, dimension: Dimension, rng: np.random.Gene
     return _is_rigid(graph, dimension, stresses) and bool((loads > RANK_TOLERANCE).all())
 
 
+@checked
 def is_globally_rigid(graph: Graph, dimension: Dimension, rng: np.random.Generator) -> bool:
     """Return True where the lengths fix the shape, in general position, up to congruence.
 

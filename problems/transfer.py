@@ -5,14 +5,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
 from types import SimpleNamespace
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
+from annotated_types import Gt
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, triu
 
 from dynamics import DiscreteModel
+from dynamics.doors import checked
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
 from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
@@ -22,12 +24,24 @@ Objective = Literal["fuel", "energy"]
 Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 
 
+@runtime_checkable
+class Expression(Protocol):
+    """Expression of CVXPY, which is imported only where it is needed."""
+
+    def is_affine(self) -> bool:
+        """Tell whether it is affine."""
+
+    def __getitem__(self, key: Any) -> Any:
+        """Take entries."""
+
+
 Found = TypeVar("Found")
 
 MAX_SLOWDOWNS = 3  # most solvers take one
 ARRIVAL_TOLERANCE = 1e-9  # of a closed form, relative to the largest state
 
 
+@checked
 class Trajectory(NamedTuple):
     """States, controls and fuel of one agent.
 
@@ -42,6 +56,7 @@ class Trajectory(NamedTuple):
     fuel: float
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class TransferProblem:
     """Transfer of least fuel, or of least energy, from a state to a target.
@@ -79,6 +94,11 @@ class TransferProblem:
     tie_break_rise: float = 0.0
     objective: Objective = "fuel"
     speed_norm: Norm = 2
+
+    @property
+    def array_sizes(self) -> dict[str, Any]:
+        """Sizes of the axes of states, controls and steps."""
+        return {**self.model.array_sizes, "T": len(self.model)}
 
     def __post_init__(self) -> None:
         """Check the limits."""
@@ -143,7 +163,7 @@ class TransferProblem:
         """
         return self.speed_limit.is_exceeded(x[..., 1:-1, self.model.axes :])
 
-    def slow_down(self, factor: float) -> "TransferProblem":
+    def slow_down(self, factor: Annotated[float, Gt(0)]) -> "TransferProblem":
         """Return the problem with another speed limit.
 
         Args:
@@ -274,7 +294,9 @@ class TransferProblem:
             effort = effort / (self.model.dt * self.control_limit.most**2)  # of the order of 1
         return cp.Problem(cp.Minimize(effort), [*limits, arrival]), u
 
-    def build_cvxpy(self, start: Any) -> tuple[Any, Any, Any, list[Any]]:
+    def build_cvxpy(
+        self, start: Float[Array, " n"] | Expression
+    ) -> tuple[Any, Any, Any, list[Any]]:
         """Build variables x and u, cost and constraints in CVXPY, all but the arrival."""
         import cvxpy as cp
 

@@ -85,5 +85,5 @@ def test_mean_motion_is_that_of_the_orbit():
 
 @pytest.mark.parametrize("bad", [0.0, -1e-3, np.nan, np.inf])
 def test_a_mean_motion_that_is_not_positive_is_refused(bad):
-    with pytest.raises(ValueError, match="n: the mean motion must be positive"):
+    with pytest.raises(ValueError, match=r"^n: .*must be"):
         ClohessyWiltshire(bad)

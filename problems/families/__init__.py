@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
+from dynamics.doors import checked
 from problems.conic import ConicProgram
 
 SIZES = ("small", "medium", "large")
@@ -79,6 +80,7 @@ def list_families() -> list[str]:
     return sorted(name.removesuffix(smallest) for name in names if name.endswith(smallest))
 
 
+@checked
 @cache
 def load_family(name: str, size: str) -> Family:
     """Load the programs of one family and size.

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
+from dynamics.doors import checked
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
 
 Vector = Float[Array, " m"]
@@ -31,6 +32,7 @@ def accept_all(problem: ConicProgram) -> str:
     return ""
 
 
+@checked
 @dataclass(frozen=True)
 class SolverAdapter:
     """Solver, and the way to call it.
@@ -126,6 +128,7 @@ def make_result(
     return SolverResult(status, message, x, y, iterations)
 
 
+@checked
 def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
     """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 

@@ -1,7 +1,12 @@
 """Solver of the user's choice, its answers verified, with the default solver behind it."""
 
 from collections.abc import Callable
+from typing import Annotated
 
+from annotated_types import Gt
+
+from dynamics.doors import checked
+from dynamics.inputs import InputError, format_value, join_names
 from problems.conic import (
     TOLERANCE,
     ConicProgram,
@@ -21,6 +26,7 @@ from problems.solvers.clarabel import ADAPTERS
 ASKED = 1e-2  # of the tolerance: many solvers scale residuals by larger numbers
 
 
+@checked
 class VerifiedSolver:
     """Solver chosen by name; programs on which it fails are given to the default solver.
 
@@ -29,8 +35,12 @@ class VerifiedSolver:
     decides alone has a solver of its own.
     """
 
-    def __init__(self, name: str = DEFAULT_SOLVER, tolerance: float = TOLERANCE) -> None:
+    def __init__(
+        self, name: str = DEFAULT_SOLVER, tolerance: Annotated[float, Gt(0)] = TOLERANCE
+    ) -> None:
         """Choose a solver, and the tolerance of its answers: residuals and gap, relative."""
+        if name != DEFAULT_SOLVER and name not in (known := load_adapters()):
+            raise InputError("name", f"must be {join_names(known)}, got {format_value(name)}")
         self._name, self._tolerance = name, tolerance
         self._last: tuple[ConicProgram, SolverSession] | None = None
         self.fallback_count = 0  # programs that were given to the default solver
