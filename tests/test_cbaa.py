@@ -274,10 +274,13 @@ LOSSY = {"loss": 0.1, "rounds": 9, "rng": np.random.default_rng(0)}
     [
         ({"score": np.ones((4, 4)), "graph": TWO_PAIRS}, "no message gets from agent 0 to agent 2"),
         ({"score": np.diag([0.0, 1, 1]) + 0}, "the score of point 0 for agent 0 is 0.0"),
-        ({"score": np.full((3, 3), np.inf)}, "the score of point 0 for agent 0 is inf"),
+        (
+            {"score": np.full((3, 3), np.inf)},
+            r"score: must be an array of real numbers .* with inf at \[0, 0\]",
+        ),
         ({"score": np.full((3, 3), np.nan)}, "the score of point 0 for agent 0 is nan"),
-        ({"score": np.ones((3, 2))}, "graph.agents: must be 4 as of the others, got 3"),
-        ({"score": np.ones((4, 4))}, "each agent needs a row"),
+        ({"score": np.ones((3, 2))}, "each agent needs a row"),
+        ({"score": np.ones((4, 4))}, "graph.agents: must be 4 as of the others, got 3"),
         ({"loss": 1.0}, "loss: must be a finite number at least 0 and below 1, got 1.0"),
         ({"loss": -0.1}, "got -0.1"),
         ({"delay": -1}, "delay: must be an integer at least 0"),

@@ -30,6 +30,7 @@ from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
 Amount = Annotated[int, Positive]
+Count = Annotated[int, NotNegative]
 Axes = Annotated[int, Ge(2), Le(3)]
 LONGEST_TEXT = 4096  # characters
 UNWRITABLE = re.compile("[\\0-\\x1f\\x7f\ud800-\udfff]")  # controls, and halves of characters
