@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import annotated_types
 import numpy as np
 from numpy import ndarray as Array
+from numpy.typing import ArrayLike
 
 from dynamics.doors import Allow
 from dynamics.inputs import (
@@ -182,6 +183,10 @@ def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
         return _check_class_of_name(hint.rpartition(".")[2]) if hint[-1].isalnum() else None
     if origin is Annotated:
         return make_check(parts[0], numbers.with_marks(list(parts[1:])))
+    if hint == ArrayLike:
+        return _simple("numbers", _read_numbers)
+    if hasattr(hint, "dim_str") and not isinstance(hint.dtypes, list | tuple):
+        return _check_class(Array)  # of any entries
     if hasattr(hint, "dim_str"):
         return _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
@@ -400,6 +405,12 @@ def _read_array(value: Any, kinds: str, dtype: Any, takes_objects: bool) -> Any:
     if dtype is bool and not ((array == 0) | (array == 1)).all():
         return None
     return array.astype(dtype)
+
+
+def _read_numbers(value: Any) -> Any:
+    with suppress(InputError):
+        return read_array(value, "biuf")
+    return None
 
 
 def _has_symbols(value: Any) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
@@ -30,6 +31,7 @@ from sato.scenario.errors import InputError
 from sato.systems import load_system
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+MAX_FRAMES = 300  # of a film, unless more are asked for
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
 MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
@@ -54,6 +56,7 @@ class RunFileError(ValueError):
     """A run file that cannot be read; the message names the file."""
 
 
+@checked
 def collect_run_data(
     system: System[MissionT, FrameT],
     frames: Sequence[FrameT],
@@ -92,6 +95,7 @@ def collect_run_data(
     return RunData(variables, attributes | dict(system.attributes(mission))).seal()
 
 
+@checked
 def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
@@ -133,6 +137,7 @@ def _read_ends(path: Path) -> bytes:
         return first + file.read()
 
 
+@checked
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 

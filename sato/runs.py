@@ -108,12 +108,18 @@ class Run:
         digest = self.recorded.attrs.get("digest", "")
         return write_figures(self.figures(), Path(directory), pdf, digest)
 
-    def animate(self, directory: str | Path, **options: Any) -> Path:
-        """Write an animation of the run; options as in `sato.render.animate`."""
+    def animate(
+        self,
+        directory: str | Path,
+        fps: Annotated[int, Gt(0), Le(1000)] = 20,
+        frames: Annotated[int, Gt(0)] = record.MAX_FRAMES,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> Path:
+        """Write an animation of the run, as `sato.render.animate` does."""
         from sato.render import animate
 
         digest = self.recorded.attrs.get("digest", "")
-        return animate(self.scene(), Path(directory), digest, **options)
+        return animate(self.scene(), Path(directory), digest, fps, frames, progress)
 
     def scene(self) -> "SwarmScene":
         """Make the scene of the run, as viewers show it.

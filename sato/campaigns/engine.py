@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from dynamics.doors import checked
 from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
@@ -24,6 +25,7 @@ LOCK_FILE = "campaign.lock"
 Progress = Callable[[Counter[str], int], object]
 
 
+@checked
 def campaign(
     scenario: Any = (),
     *,

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.assignment import solve_assignment
 from problems.auction_cost import compute_transfer_costs
 from problems.centralized import CentralizedProblem
@@ -28,6 +29,7 @@ class CentralMission(NamedTuple):
     goal: Float[Array, "agents n"]  # target of each agent
 
 
+@checked
 def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     """Return the joint transfers of all agents from their starts to the targets of the first leg.
 
