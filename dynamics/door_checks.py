@@ -323,7 +323,8 @@ def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | 
 
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, list | tuple | Array) or (type(value) is Array and not value.ndim):
+        is_list = isinstance(value, list | tuple | range | Array)
+        if not is_list or (type(value) is Array and not value.ndim):
             cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
             raise InputError("", f"must be a list, got {describe(value)}{cure}")
         if check is None:
