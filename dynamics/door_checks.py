@@ -251,7 +251,7 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
 
 
 def _is_path(value: Any) -> bool:
-    if not isinstance(value, str | PathLike):
+    if not isinstance(value, str | PathLike) or value == "":
         return False
     with suppress(ValueError):  # no file has a name with half a character, or 0, in it
         names = os.fsencode(value).split(b"/")
@@ -337,7 +337,8 @@ def _check_list(check: Check | None) -> Check:
 
 def _check_tuple(checks: list[Check | None]) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, list | tuple | Array) or len(value) != len(checks):
+        is_list = isinstance(value, list | tuple) or (type(value) is Array and value.ndim > 0)
+        if not is_list or len(value) != len(checks):
             raise InputError("", f"must be {len(checks)} values, got {describe(value)}")
         pairs = enumerate(zip(checks, value, strict=True))
         return tuple(v if c is None else check_entry(str(i), c, v, sizes) for i, (c, v) in pairs)

@@ -263,7 +263,8 @@ class Polytope(Obstacle):
         return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
 
     def scaled(self, factors: Factors) -> "Polytope":  # noqa: D102
-        return Polytope(self._listed * np.array(factors), **self._scale_motion(factors))
+        corners = np.array([_scale(corner, factors) for corner in self._listed.tolist()])
+        return Polytope(corners, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
-from dynamics.doors import checked
+from dynamics.doors import check_methods, checked
 from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
@@ -175,6 +175,7 @@ def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     return summary
 
 
+@check_methods
 @dataclass(frozen=True, eq=False)
 class RunRecord(Generic[MissionT, FrameT, VariablesT]):
     """A run as recorded, and the mission as drawn again from its scenario."""

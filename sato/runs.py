@@ -26,6 +26,7 @@ from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
+from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.scenario.origin import Origin
@@ -40,7 +41,6 @@ if TYPE_CHECKING:  # slow to import
 
 Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
-Seed = Annotated[int, Ge(0), Lt(2**64)]
 
 
 @checked

@@ -245,10 +245,12 @@ def _agents() -> Iterator[Call]:
     _, message = sato.Agent(mission, 1).step(0.0, START.tolist()[1] + [0.0, 0.0], [])
     yield sato.Agent, {"mission": mission, "number": 0, "target_count": 4, "leg_start": 0.0}
     seen = [sato.Sphere((30.0, 30.0), 1.0), (3, [40.0, 40.0, 0.0, 0.0])]
-    yield (
-        lambda **arguments: sato.Agent(mission, 0).step(**arguments),
-        {"time": 0.0, "state": still, "inbox": [message], "seen": seen},
-    )
+
+    def step(**arguments: Any) -> Any:
+        return sato.Agent(mission, 0).step(**arguments)
+
+    step.__qualname__ = "Agent.step"
+    yield step, {"time": 0.0, "state": still, "inbox": [message], "seen": seen}
     yield agent.set_targets, {"targets": START, "steps": 12, "recount": False}
 
 

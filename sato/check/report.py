@@ -50,6 +50,7 @@ def largest(*errors: ArrayLike) -> float:
     return float(np.max([np.max(np.abs(each), initial=0.0) for each in errors]))
 
 
+@checked
 @dataclass(frozen=True)
 class Report:
     """Promises of a run, and the summary that was recomputed with them."""

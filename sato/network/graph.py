@@ -118,7 +118,7 @@ class CommunicationGraph:
         return i[i < j], j[i < j]
 
     def pairs_among(
-        self, agents: Int[Array, " some"] | list[int]
+        self, agents: Int[Array, " some"]
     ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Return the pairs of neighbors among some agents, by their places in the list."""
         most = len(self.alive) - 1

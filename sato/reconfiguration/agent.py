@@ -179,7 +179,11 @@ class Agent:
         flown, later = self.memory, bool(self.mission.lag_steps)
         if not later:
             self._require_finished()
-        leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
+        try:
+            leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
+        except InputError as error:
+            names = {"shape": "targets", "targets": "count"}
+            raise InputError(names.get(error.key, error.key), error.reason) from error
         begun = self._begin_leg(leg, 0 if flown.instant is None else flown.instant + 1)
         is_under_way = later and flown.instant is not None
         self.memory = flown._replace(next_leg=leg) if is_under_way else begun

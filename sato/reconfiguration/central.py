@@ -14,7 +14,7 @@ from problems.centralized import CentralizedProblem
 from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
-from sato.scenario.errors import InputError
+from sato.scenario.definition import Seed
 
 
 class CentralMission(NamedTuple):
@@ -30,7 +30,7 @@ class CentralMission(NamedTuple):
 
 
 @checked
-def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
+def central_problem(mission: Reconfiguration, seed: Seed = 0) -> CentralMission:
     """Return the joint transfers of all agents from their starts to the targets of the first leg.
 
     They have the mission's objective, move by its shared linear model, keep its limits, collision
@@ -44,9 +44,6 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     Raises:
         ValueError: It is no reconfiguration, or has fuel in the Euclidean norm.
     """
-    if not isinstance(mission, Reconfiguration):
-        reason = 'must be a sato.Reconfiguration; sato.read("crossing") returns one'
-        raise InputError("mission", f"{reason}, got an object of type {type(mission).__name__}")
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = drawn.discretize(leg.steps)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from jaxtyping import Int
 from numpy import ndarray as Array
@@ -21,7 +21,7 @@ from sato.reconfiguration.tracking import (
     measurement_deviations,
 )
 from sato.reconfiguration.vehicles import Vehicles
-from sato.scenario.definition import Count, is_auto
+from sato.scenario.definition import Count, Positive, is_auto
 
 if TYPE_CHECKING:
     from problems.transfer import TransferProblem
@@ -168,7 +168,9 @@ class PlannedLimits(Vehicles):
         kept = self.largest_separation + margin * (1 if self.tracking is None else 2)
         return kept * self.widest_axis
 
-    def speed_within_reach(self, steps: Count, margin: float, control_factor: float = 1.0) -> float:
+    def speed_within_reach(
+        self, steps: Count, margin: float, control_factor: Annotated[float, Positive] = 1.0
+    ) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
         They fly on for so many steps h, and stop at the least control U of plans in whole steps:
@@ -228,7 +230,9 @@ class PlannedLimits(Vehicles):
             margin += self.link.skew * (V - self.fastest_plans(self.replan_steps, margin))
         return self.distance_unheard(margin) + self.sharing_unheard * way
 
-    def planned_speed_limit(self, agent: Count, control_factor: float = 1.0) -> Limit:
+    def planned_speed_limit(
+        self, agent: Count, control_factor: Annotated[float, Positive] = 1.0
+    ) -> Limit:
         """Return the limit of the velocity in the plans of an agent [m/s].
 
         Where it could not stop within reach from full speed, it plans to fly more slowly.

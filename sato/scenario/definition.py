@@ -17,7 +17,7 @@ from functools import cache, cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt, Le, Lt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
@@ -29,6 +29,7 @@ from sato.scenario.errors import InputError, explain, format_value, join_names
 from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
+Seed = Annotated[int, Ge(0), Lt(2**64)]
 Amount = Annotated[int, Positive]
 Count = Annotated[int, NotNegative]
 Axes = Annotated[int, Ge(2), Le(3)]
@@ -261,7 +262,7 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        one = f"{value:g}"
+        one = format_value(value)
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
 

@@ -163,7 +163,7 @@ class Points(Shape):
     @property
     def listed(self) -> Float[Array, "k d"]:
         """All points [m], of the file where there is one."""
-        return np.asarray(read_points(Path(self.file)) if self.file else self.positions)
+        return np.asarray(self.positions if self.file is None else read_points(Path(self.file)))
 
     def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Take the first points of the order."""
