@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
+from dynamics.doors import checked
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
@@ -38,9 +39,11 @@ from sato.reconfiguration.state import DecisionContext, Event, begin_memory, upd
 from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
+from sato.scenario.definition import Amount
 from sato.scenario.errors import InputError, format_value
 
 
+@checked
 class Agent:
     """One vehicle of a reconfiguration: it reads its own memory and its inbox alone.
 
@@ -86,12 +89,12 @@ class Agent:
         self,
         mission: Reconfiguration,
         number: int,
-        target_count: int | None = None,
+        target_count: Amount | None = None,
         leg_start: float | None = None,
         leg: Leg | None = None,
         commitment: Commitment | None = None,
     ) -> None:
-        check_agent(mission, number, target_count, leg, commitment)
+        check_agent(mission, number)
         if not is_drawn(mission):
             mission = mission.draw(np.random.default_rng(0))
         believed, start = target_count or mission.target_count or mission.agent_count, None
@@ -114,7 +117,7 @@ class Agent:
         self,
         time: float,
         state: ArrayLike,
-        inbox: Sequence[AgentMessage] | Sequence[AgentPacket],
+        inbox: Sequence[AgentMessage | AgentPacket],
         seen: Sequence[Sensed] = (),
     ) -> tuple[Float[Array, " d"], AgentMessage | AgentPacket | None]:
         """Act in one round of messages.
@@ -155,7 +158,7 @@ class Agent:
     def set_targets(
         self,
         targets: Any,
-        steps: int,
+        steps: Amount,
         *,
         count: int | None = None,
         recount: bool = False,

@@ -1,42 +1,43 @@
 """Inputs of one agent, checked: its number, its state, the time and its inbox."""
 
 from collections.abc import Sequence
-from math import floor
+from math import floor, inf
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.door_checks import describe
-from dynamics.inputs import InputError, read_array
+from dynamics.doors import checked
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.stopping import Commitment
 from sato.reconfiguration.surroundings import Sensed
+from sato.scenario.definition import Count
+from sato.scenario.errors import InputError, format_value
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
 # Fields of the mission that agents must have in common to decide together.
 SHARED = "axes step horizon_steps foresight replan_steps auction_steps freeze_steps".split()
 SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
-MAX_INSTANT = 2**53  # beyond which times do not tell two of them apart
-HEADER_LIMITS = MAX_NUMBER, MAX_INSTANT, MAX_INSTANT  # of sender, instant, and stage or round
 
 
+@checked
 class AgentMessage(NamedTuple):
     """Message of an agent to all neighbors within hearing, a plain value."""
 
-    sender: int
-    instant: int
-    stage: int
+    sender: Annotated[int, Ge(0), Le(MAX_NUMBER)]
+    instant: Count
+    stage: Count
     content: Any
 
 
+@checked
 class AgentPacket(NamedTuple):
     """All that an agent sends in a round of a network that loses or delays messages."""
 
@@ -49,35 +50,20 @@ class AgentPacket(NamedTuple):
         return self.packet.sender
 
 
-def check_agent(
-    mission: Any, number: Any, target_count: Any = None, leg: Any = None, commitment: Any = None
-) -> None:
-    """Refuse a mission that an agent cannot fly, and what else it cannot have.
+def check_agent(mission: Reconfiguration, number: int) -> None:
+    """Refuse a mission that an agent cannot fly, and a number that it has no entry for.
 
     Raises:
         ValueError: They are.
     """
-    if not isinstance(mission, Reconfiguration):
-        raise ValueError(
-            f"mission must be a sato.Reconfiguration, got {type(mission).__name__}; "
-            'sato.read("crossing") or sato.Reconfiguration(…) would do'
-        )
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
     if not _is_whole(number) or not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
-        got = describe(number)
-        raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {got}")
-    if target_count is not None and not (_is_whole(target_count) and 0 < target_count < 2**31):
-        got = describe(target_count)
-        raise ValueError(f"target_count must be a whole number above 0, got {got}")
-    if leg is not None and not isinstance(leg, Leg):
-        raise ValueError(f"leg must be a sato.Leg, got {type(leg).__name__}")
-    if commitment is not None and not isinstance(commitment, Commitment):
-        found = type(commitment).__name__
-        hint = "sato.find_first_commitments(drawn).get(number) would do"
-        raise ValueError(f"commitment must be a Commitment, got {found}; {hint}")
+        raise ValueError(
+            f"number must be a whole number from 0 to {most}{reason}, got {format_value(number)}"
+        )
     if mission.is_passively_safe:
         raise ValueError(
             "plan.passive_safety_m: drifts lead beyond hearing, and an agent hears only its "
@@ -107,13 +93,11 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     Raises:
         ValueError: The time is not one since the start of the mission.
     """
-    is_number = isinstance(time, float | np.floating) or _is_whole(time)
-    if not is_number or not 0 <= time < MAX_INSTANT * mission.step:
+    if not isinstance(time, float | int | np.number) or not 0 <= time < inf:
         raise ValueError(
-            f"{name} must be the seconds since the start of the mission, 0 or more, "
-            f"got {describe(time)}"
+            f"{name} must be the seconds since the start of the mission, 0 or more, got {time!r}"
         )
-    return floor(float(time) / mission.step + INSTANT_PRECISION)
+    return floor(time / mission.step + INSTANT_PRECISION)
 
 
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
@@ -124,53 +108,32 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     """
     n = 2 * mission.axes
     try:
-        array = read_array(state).astype(float)
-    except InputError:
+        array = np.asarray(state).astype(float, casting="safe")
+    except (TypeError, ValueError):
         array = np.zeros(0)
     if array.shape != (n,) or not np.isfinite(array).all():
         raise ValueError(
-            f"state must be {n} finite numbers, position [m] and velocity [m/s], "
-            f"got {describe(state)}"
+            f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
         )
     return array
 
 
-def check_seen(mission: Reconfiguration, seen: Any) -> tuple[Sensed, ...]:
+def check_seen(mission: Reconfiguration, seen: Sequence[Sensed]) -> list[Sensed]:
     """Return what an agent has seen, with states as arrays.
 
     Raises:
-        ValueError: It is no list of obstacles, and of numbers and states of lost vehicles.
+        ValueError: An obstacle has other coordinates than the mission, or a state is none.
     """
-    if not isinstance(seen, list | tuple) or isinstance(seen, Obstacle):
-        raise ValueError(f"seen must be a list, got {describe(seen)}")
     found: list[Sensed] = []
     for k, thing in enumerate(seen):
-        if isinstance(thing, Obstacle) and thing.axes == mission.axes:
+        if not isinstance(thing, Obstacle):
+            found.append((thing[0], as_state(mission, thing[1])))
+        elif thing.axes == mission.axes:
             found.append(thing)
-            continue
-        is_pair = isinstance(thing, list | tuple) and len(thing) == 2
-        if not is_pair or not _is_whole(thing[0]) or not 0 <= thing[0] <= MAX_NUMBER:
-            raise ValueError(
-                f"seen.{k} must be an obstacle with {mission.axes} coordinates, or the number of a "
-                f"lost vehicle and its state, got {describe(thing)}"
-            )
-        found.append((int(thing[0]), as_state(mission, thing[1])))
-    return tuple(found)
-
-
-def _check_header(number: int, message: AgentMessage | AgentPacket) -> None:
-    """Refuse a message whose numbers are none, as those of another program may be."""
-    header = message if isinstance(message, AgentMessage) else message.packet
-    if not isinstance(header, AgentMessage | Packet):
-        got = describe(header)
-        raise ValueError(f"agent {number}: a packet must hold a Packet, got {got}")
-    for (name, value), most in zip(header._asdict().items(), HEADER_LIMITS, strict=False):
-        if not _is_whole(value) or not 0 <= value <= most:
-            reason = f"must be a whole number from 0 to {most}, got {describe(value)}"
-            raise ValueError(f"agent {number}: {name} of a message {reason}")
-    if isinstance(header, Packet) and not isinstance(header.contents, tuple):
-        got = describe(header.contents)
-        raise ValueError(f"agent {number}: contents of a message must be a tuple, got {got}")
+        else:
+            reason = f"has {thing.axes} coordinates, and the mission {mission.axes}"
+            raise InputError(f"seen.{k}", reason)
+    return found
 
 
 def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
@@ -193,7 +156,6 @@ def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
                 f"agent {number}: inbox must hold messages that other agents returned, got a "
                 f"{type(message).__name__}; leave out those of agents that have sent none"
             )
-        _check_header(number, message)
     if any(message.sender == number for message in inbox):
         raise ValueError(
             f"agent {number} hears an agent of its own number: give each its own, and leave out "

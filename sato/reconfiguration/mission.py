@@ -426,7 +426,7 @@ class Reconfiguration(PlannedLimits, Mission):
         """True where it is known which two vehicles stand at two targets, and they are unequal."""
         return self.assignment == "given" and not self.has_equal_radii
 
-    def find_tightest(self, targets: Float[Array, "targets 2*d"]) -> tuple[float, float]:
+    def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
         """Find the two targets with the least room: their distance, and R of their vehicles [m].
 
         Args:

@@ -240,7 +240,7 @@ class Motion:
     @property
     def array_sizes(self) -> dict[str, int]:
         """Sizes of the axes of arrays, by name."""
-        return {"d": self.axes}
+        return {"d": self.axes, "n": 2 * self.axes}
 
     @property
     def is_point_mass(self) -> bool:
