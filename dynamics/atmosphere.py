@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from dynamics.doors import checked
 from dynamics.orbit import EARTH_RADIUS, EARTH_ROTATION, OrbitStates, Scalars, Vectors
 
+MAX_HEIGHTS = 100  # of the scale height, within which densities are finite
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
 # [Vallado2013, table 8-4] at which spacecraft stay in orbit.
 DENSITY_TABLE = (
@@ -46,10 +47,13 @@ class Atmosphere:
 
     def __post_init__(self) -> None:
         """Check density and scale height."""
-        if not (0 <= self.reference_density < inf and 0 < self.scale_height < inf):
+        is_finite = abs(self.reference_altitude) <= MAX_HEIGHTS * self.scale_height
+        if not (is_finite and 0 <= self.reference_density < inf and 0 < self.scale_height < inf):
             raise ValueError(
-                "reference_density must not be negative and scale_height must be positive, got "
-                f"{self.reference_density} kg/m³ and {self.scale_height} m"
+                "reference_density must not be negative, scale_height must be positive and "
+                f"reference_altitude at most {MAX_HEIGHTS} scale_height, got "
+                f"{self.reference_density} kg/m³, {self.scale_height} m and "
+                f"{self.reference_altitude} m"
             )
 
     @classmethod

@@ -85,6 +85,9 @@ class DiscreteModel:
 
     def for_agent(self, agent: int) -> "DiscreteModel":
         """Take the steps of one of many agents."""
+        count = len(self.A) if self.A.ndim > 3 else 0
+        if not 0 <= agent < count:
+            raise InputError("agent", f"must be that of one of {count} with own matrices")
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
     def respond(self, shares: Float[Array, " m"] | float = 1.0) -> Float[Array, "instants n Tm"]:
@@ -104,6 +107,8 @@ class DiscreteModel:
 
     def simulate(self, x: AgentStates, u: FlownControls) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
+        if u.shape[-2] > len(self):
+            raise InputError("u", f"must have {len(self)} steps at most, got {u.shape[-2]}")
         A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
         if A.ndim == 3:
             states = [x]

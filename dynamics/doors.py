@@ -15,6 +15,8 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, NamedTuple, TypeVar, cast
 
+from dynamics.inputs import short_repr
+
 Target = TypeVar("Target", bound=Callable[..., Any])
 INSIDE = "dynamics.", "problems.", "sato."
 
@@ -27,6 +29,7 @@ class Allow(NamedTuple):
 
 
 MAY_BE_NAN, MAY_BE_INFINITE = Allow(nan=True), Allow(infinite=True)
+ANY_NUMBER = Allow(nan=True, infinite=True)
 
 
 def checked(target: Target) -> Target:
@@ -38,6 +41,8 @@ def checked(target: Target) -> Target:
     if not isinstance(target, type):
         return cast(Target, _wrap(target))
     owner: Any = target
+    if hasattr(owner, "_fields") or "__dataclass_fields__" in vars(owner):
+        owner.__repr__ = short_repr
     if hasattr(owner, "_fields"):  # a named tuple
         owner.__new__ = staticmethod(_wrap(owner.__new__, is_constructor=True))
     elif "__init__" in vars(owner):

@@ -6,7 +6,6 @@ other.
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +15,9 @@ from dynamics.atmosphere import Atmosphere
 from dynamics.coordinate_frames import LVLH, inertial_state, orbit_axes, to_polar_nodal
 from dynamics.doors import checked
 from dynamics.forces import Forces
+from dynamics.inputs import InputError
 from dynamics.model import Controls, States
-from dynamics.orbit import Orbit
+from dynamics.orbit import MAX_TIME, Orbit
 from dynamics.plant import Plant, Samples, is_present, validate_propagation
 from dynamics.propagation import integrate_orbits
 
@@ -82,8 +82,9 @@ class InertialPlant(Plant):
 
     def _chief_state(self, t: float) -> Array:
         # Always by way of the same checkpoints, so that a time has one state, bit for bit.
-        if not 0 <= t < inf:
-            raise ValueError(f"the chief's orbit is known from time 0 on, got t = {t} s")
+        if not 0 <= t <= MAX_TIME:
+            known = f"the chief's orbit is known from time 0 on, to {MAX_TIME:.0e} s"
+            raise InputError("t", f"{known}, got t = {t} s")
         states, count = self._checkpoints, int(t // CHECKPOINT_INTERVAL)
         while len(states) <= count:
             start = CHECKPOINT_INTERVAL * (len(states) - 1)

@@ -62,6 +62,22 @@ def format_value(value: object) -> str:
     return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"
 
 
+def shorten(value: Any) -> str:
+    """Write a value as `repr` does, but arrays by their shapes and long tuples by their sizes."""
+    if isinstance(value, Array):
+        return f"<array of shape {value.shape}>"
+    if isinstance(value, tuple) and len(value) > 3 and not hasattr(value, "_fields"):
+        return f"<{len(value)} values>"
+    return repr(value)
+
+
+def short_repr(value: Any) -> str:
+    """Write a dataclass or a named tuple as `repr` does, its fields by `shorten`."""
+    names = getattr(value, "_fields", None) or value.__dataclass_fields__
+    parts = (f"{name}={shorten(getattr(value, name))}" for name in names)
+    return f"{type(value).__qualname__}({', '.join(parts)})"
+
+
 def as_array(value: Any, ndim: int) -> Array:
     """Convert to a read-only array of finite doubles.
 

@@ -9,10 +9,11 @@ equatorial orbits too.
 from dataclasses import dataclass
 from functools import lru_cache
 from math import cos, hypot, inf, isfinite, pi, sin, sqrt
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -94,7 +95,7 @@ class Orbit:
         raan: float = 0.0,
         arg_perigee: float = 0.0,
         true_anomaly: float = 0.0,
-        mu: float = EARTH_MU,
+        mu: Annotated[float, Gt(0)] = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.

@@ -108,6 +108,8 @@ def integrate_orbits(
 
     altitude.terminal = True  # type: ignore[attr-defined]  # as SciPy asks for
     settings = {"rtol": rtol, "atol": atol, "first_step": first_step, "events": altitude}
+    if not times[-1]:  # the initial time alone
+        return y0[None].copy()
     span = 0.0, float(times[-1])
     solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, **settings)
     if solution.status == 1:

@@ -16,6 +16,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
+from annotated_types import Ge, Le
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
@@ -90,7 +91,9 @@ def evaluate_bezier(points: Float[Array, "*k 4 d"], fraction: Scalars) -> Float[
 
 
 @checked
-def divide_pieces(points: Float[Array, "*k 4 d"], parts: int) -> Float[Array, "*k parts 4 d"]:
+def divide_pieces(
+    points: Float[Array, "*k 4 d"], parts: Annotated[int, Ge(1), Le(1000)]
+) -> Float[Array, "*k parts 4 d"]:
     """Return the control points of equal parts of every piece."""
     return np.asarray(np.einsum("pij,...jd->...pid", division_matrices(parts), points))
 

@@ -17,6 +17,7 @@ from numpy import ndarray as Array
 from scipy.sparse import csc_array, diags_array
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces, Rows, empty_half_spaces
@@ -217,6 +218,8 @@ class AvoidanceProblem:
         """
         T, _, m = self.transfer.model.B.shape
         limit, parts = self.transfer.control_limit, unknowns[: self.unknown_controls]
+        if len(parts) < self.unknown_controls:
+            raise InputError("unknowns", f"{self.unknown_controls} are needed, got {len(parts)}")
         U, parts = limit.most, parts.reshape(-1, T, m)
         size = parts[0] if len(parts) == 1 else parts[0] - parts[1]
         u = np.asarray(np.clip(U * size, -U, U)) * limit.shares

@@ -21,7 +21,8 @@ from numpy import ndarray as Array
 from dynamics.closest_approach import closest_approaches
 from dynamics.discretize import MAX_STEPS, discretize_zoh
 from dynamics.doors import checked
-from dynamics.model import ControlSamples, LinearModel, StateSamples
+from dynamics.inputs import InputError
+from dynamics.model import LinearModel
 from dynamics.trajectory_geometry import hull_distance
 from problems.centralized_nlp import (
     MIN_DISTANCE,
@@ -50,6 +51,7 @@ MAX_PADDING = 1e-4  # of R, largest increase per iteration; smaller violations a
 
 
 Positive = Annotated[float, Gt(0)]
+AgentControls = Float[Array, "agents T m"]
 
 
 @checked
@@ -97,6 +99,9 @@ class CentralizedProblem:
                 'derivative where a control is 0; fuel_norm = 1, "inf" or objective = "energy" '
                 "would do"
             )
+        count = len(self.own_transfers)
+        if self.clearances is not None and len(self.clearances) != (count or len(self.clearances)):
+            raise InputError("clearances", f"must be {count}, as own_transfers")
         shared = _shared_by_agents(self.transfer)
         for i, own in enumerate(self.own_transfers):
             if own.model is not self.transfer.model or _shared_by_agents(own) != shared:
@@ -114,7 +119,8 @@ class CentralizedProblem:
     def array_sizes(self) -> dict[str, Any]:
         """Sizes of the axes of states, controls, steps and, where they differ, agents."""
         each = self.own_transfers or (() if self.clearances is None else self.clearances)
-        return self.transfer.array_sizes | ({"agents": len(each)} if len(each) else {})
+        is_known = self.own_transfers or self.clearances is not None
+        return self.transfer.array_sizes | ({"agents": len(each)} if is_known else {})
 
     @classmethod
     def from_model(
@@ -208,7 +214,7 @@ class CentralizedProblem:
         return self._program.build((start, goal), guess, instants)
 
     def simulate(
-        self, start: AgentStates, goal: AgentStates, u: ControlSamples, solver_message: str
+        self, start: AgentStates, goal: AgentStates, u: AgentControls, solver_message: str
     ) -> SimulatedSolution:
         """Simulate the controls and compute all violations.
 
@@ -235,7 +241,7 @@ class CentralizedProblem:
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
         return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
 
-    def count_conflicts(self, x: StateSamples, u: ControlSamples) -> int:
+    def count_conflicts(self, x: Float[Array, "agents instants n"], u: AgentControls) -> int:
         """Count the pairs that come too close on given trajectories.
 
         Args:

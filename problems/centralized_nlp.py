@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from scipy.sparse import block_diag, bsr_array, csc_matrix, eye_array, hstack
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.symbols import Numbers
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.limit import Limit
@@ -100,6 +101,11 @@ class NonlinearProgram:
     shape: tuple[Count, Count, Count]
     state_units: Annotated[Float[Array, " n"], Gt(0)]
     control_unit: Annotated[float, Gt(0)]
+
+    def __post_init__(self) -> None:
+        """Check that there is a unit for each entry of a state."""
+        if len(self.state_units) != 2 * self.shape[2]:
+            raise InputError("state_units", f"must be {2 * self.shape[2]}, as a state has entries")
 
     def trajectories(self, x: Numbers[Array, "..."]) -> InitialGuess:
         """Return states and controls of all agents, from a value of "x"."""

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, tril, triu
 
-from dynamics.doors import checked
+from dynamics.doors import ANY_NUMBER, checked
 
 TOLERANCE = 1e-6  # relative, of residuals and gap; a solution with larger ones is refused
 RAY_TOLERANCE = 1e-3  # of a certificate: no feasible point is smaller than 1 / RAY_TOLERANCE
@@ -22,6 +22,8 @@ CONVEXITY_TOLERANCE = 1e-9  # of the largest entry of P: rounding of an eigenval
 ConeType = Literal["linear", "second-order", "semidefinite"]
 Status = Literal["solved", "infeasible", "stopped"]
 Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
+
+AnyNumber = Annotated[float, ANY_NUMBER]  # also NaN, of a solver that fails
 
 
 @checked
@@ -245,8 +247,12 @@ class SolverResult(NamedTuple):
 
     status: Status
     message: str  # the solver's own
-    x: Float[Array, " n"] | None = None  # a point; also where it stopped with one
-    y: Float[Array, " m"] | None = None  # its duals, or the ray that certifies infeasibility
+    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = (
+        None  # a point; also where it stopped with one
+    )
+    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = (
+        None  # its duals, or the ray that certifies infeasibility
+    )
     iterations: int | None = None
 
 
@@ -254,15 +260,18 @@ class SolverResult(NamedTuple):
 class ConicSolution(NamedTuple):
     """Primal and dual point, with residuals recomputed from their numbers."""
 
-    x: Float[Array, " n"]
-    y: Float[Array, " m"]  # duals, with P x + q + Aᵀy = 0 and y in the dual cone
-    primal_residual: float  # distance of b − A x from the cone, relative
-    dual_residual: float  # of P x + q + Aᵀy from zero and of y from the dual cone, relative
-    gap: float  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
+    x: Annotated[Float[Array, " n"], ANY_NUMBER]
+    y: Annotated[Float[Array, " m"], ANY_NUMBER]  # duals: P x + q + Aᵀy = 0, y in the dual cone
+    primal_residual: AnyNumber  # distance of b − A x from the cone, relative
+    dual_residual: AnyNumber  # of P x + q + Aᵀy from zero and y from the dual cone, relative
+    gap: AnyNumber  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
 
     @classmethod
     def evaluate(
-        cls, problem: ConicProgram, x: Float[Array, " n"], y: Float[Array, " m"]
+        cls,
+        problem: ConicProgram,
+        x: Annotated[Float[Array, " n"], ANY_NUMBER],
+        y: Annotated[Float[Array, " m"], ANY_NUMBER],
     ) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
@@ -358,7 +367,9 @@ def verify(
 
 
 @checked
-def verify_ray(problem: ConicProgram, ray: Float[Array, " m"]) -> tuple[Float[Array, " m"], str]:
+def verify_ray(
+    problem: ConicProgram, ray: Annotated[Float[Array, " m"], ANY_NUMBER]
+) -> tuple[Float[Array, " m"], str]:
     """Check a certificate of infeasibility.
 
     Args:

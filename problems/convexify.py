@@ -17,6 +17,7 @@ from numpy import ndarray as Array
 
 from dynamics import DiscreteModel
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
 from problems.half_spaces import HalfSpaces, separate_points
@@ -48,6 +49,12 @@ class AvoidanceHorizon:
     clearance: Annotated[float, Gt(0)]
     scale: tuple[Annotated[float, Gt(0)], ...] | None = None
     samples_only: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that there is a factor for each axis."""
+        if self.scale is not None and len(self.scale) != self.discrete_model.axes:
+            count = self.discrete_model.axes
+            raise InputError("scale", f"must be a factor for each of {count} axes")
 
     @property
     def array_sizes(self) -> dict[str, Any]:
@@ -132,6 +139,8 @@ class AvoidanceHorizon:
             u: Accelerations, held over each step [m/s²].
         """
         T, pieces, d = min(u.shape[-2], self.steps), len(self.fine_model), u.shape[-1]
+        if x.shape[-2] <= T:
+            raise InputError("x", f"must have {T + 1} instants for {T} steps, got {x.shape[-2]}")
         rest = self.steps - T
         still = np.zeros((*u.shape[:-2], rest, u.shape[-1]))
         after = self.discrete_model[T:].simulate(x[..., T, :], still)

@@ -3,9 +3,10 @@
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
+from annotated_types import Gt
 from numpy import ndarray as Array
 from threadpoolctl import ThreadpoolController
 
@@ -72,7 +73,7 @@ class GainDesignUndecided(RuntimeError):
 def design_gains(
     formation: DesiredFormation,
     method: GainMethod = "auto",
-    tolerance: float = RATE_TOLERANCE,
+    tolerance: Annotated[float, Gt(0)] = RATE_TOLERANCE,
     joint: bool = False,
 ) -> GainMatrix:
     """Design the gains of the largest convergence rate for a mean eigenvalue of −1.
@@ -111,8 +112,6 @@ def design_gains(
         Unsolved: The solver of "sdp" failed.
         ValueError: The method is unknown, or the tolerance is not positive.
     """
-    if not tolerance > 0:
-        raise ValueError(f"tolerance must be positive, got {tolerance}")
     # On busy cores a second thread only waits.
     with _blas_libraries().limit(limits=1, user_api="blas"):
         xy, bound_xy, method_xy = _design_axes(formation, "xy", method, tolerance)

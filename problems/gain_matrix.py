@@ -3,14 +3,14 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, get_args
 from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy import ndarray as Array
 
-from dynamics.doors import checked
+from dynamics.doors import MAY_BE_INFINITE, checked
 from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
@@ -47,8 +47,8 @@ class GainMatrix:
     xy: Complex[Array, "n n"]
     z: Float[Array, "n n"]
     method: str
-    bound_xy: float
-    bound_z: float
+    bound_xy: Annotated[float, MAY_BE_INFINITE]
+    bound_z: Annotated[float, MAY_BE_INFINITE]
 
     def __post_init__(self) -> None:
         """Refuse gains that are unstable or of another formation, and wrong bounds."""

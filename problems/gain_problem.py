@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Inexact
@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from scipy.linalg import cho_factor, null_space
 from scipy.linalg.lapack import dpotrs
 
-from dynamics.doors import checked
+from dynamics.doors import ANY_NUMBER, checked
 from problems.desired_formation import DesiredFormation
 from problems.hermitian_eigenvalues import least_eigenvalue
 
@@ -120,7 +120,7 @@ class GainProblem:
         """Compute the least eigenvalue of L on the complement of the kernel."""
         return least_eigenvalue(self.shift_kernel(L))
 
-    def rate_bound(self, Y: Inexact[Array, "n n"]) -> float:
+    def rate_bound(self, Y: Annotated[Inexact[Array, "n n"], ANY_NUMBER]) -> float:
         """Compute a rate that no feasible L exceeds, from any Hermitian Y on the non-edges.
 
         Proof. Let W = Qᴴ Y Q and S = W − l I, positive semidefinite by the choice of l.

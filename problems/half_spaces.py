@@ -51,7 +51,7 @@ class HalfSpaces(NamedTuple):
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
     def condense(
-        self, transfer: TransferProblem, free: Float[Array, "T+1 n"]
+        self, transfer: TransferProblem, free: Float[Array, "instants n"]
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
 
@@ -64,7 +64,7 @@ class HalfSpaces(NamedTuple):
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
     def condense_breakable(
-        self, transfer: TransferProblem, free: Float[Array, "T+1 n"]
+        self, transfer: TransferProblem, free: Float[Array, "instants n"]
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Condense the rows that some controls within the limit break; most hold for any."""
         coeffs, rhs = self.condense(transfer, free)

@@ -98,7 +98,7 @@ class TransferProblem:
     @property
     def array_sizes(self) -> dict[str, Any]:
         """Sizes of the axes of states, controls and steps."""
-        return {**self.model.array_sizes, "T": len(self.model)}
+        return {**self.model.array_sizes, "T": len(self.model), "instants": len(self.model) + 1}
 
     def __post_init__(self) -> None:
         """Check the limits."""

@@ -27,7 +27,24 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "separations",
     )
     for name in ("x", "u", "position", "velocity")
-} | {"align.measured": ("nan entry",)}
+} | {
+    "align.measured": ("nan entry",),
+    **{
+        f"ConicSolution.{name}": ("nan", "inf", "nan entry", "inf entry")  # of a solver that fails
+        for name in ("x", "y", "primal_residual", "dual_residual", "gap")
+    },
+    **{
+        f"{name}": ("nan entry", "inf entry")
+        for name in (
+            "SolverResult.x",
+            "SolverResult.y",
+            "ConicSolution.evaluate.x",
+            "ConicSolution.evaluate.y",
+            "verify_ray.ray",
+            "GainProblem.rate_bound.Y",
+        )
+    },
+}
 
 
 def list_calls() -> Iterator[Call]:

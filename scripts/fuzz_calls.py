@@ -357,7 +357,9 @@ def judge(
             return "slow", f"{method.name}: no answer in {LIMIT_S} s"
         except BaseException as error:
             verdict, text = _judge_error(error, [])
-            if verdict == "raw":
+            if verdict == "raw" and not any(
+                _is_callback(example.arguments[n], change) for n, change in changes.items()
+            ):
                 return "late", f"{method.name}: {text}"
             continue
         if has_nan(result) and not has_nan(_expected(method, valid, examples)):
@@ -410,6 +412,8 @@ def _judge_error(error: BaseException, names: list[str]) -> tuple[str, str]:
     text = f"{type(error).__name__}: {str(error)[:200]}"
     if not _is_refusal(error):
         return "raw", text
+    if str(error).startswith("t: ") and {"times", "dt", "t0"} & set(names):
+        return "", text  # the time that follows from them
     is_named = not names or any(re.search(rf"\b{name}", str(error)) for name in names)
     return ("", text) if is_named or type(error).__name__ != "InputError" else ("unnamed", text)
 

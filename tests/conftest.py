@@ -31,6 +31,8 @@ def _at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
             return function  # compiled code has nothing to check
         if function.__module__.startswith("dynamics.door"):
             return function  # checks all others, also in strategies, where beartype may draw none
+        if hasattr(vars(function).get("__init__"), "__wrapped__"):
+            return function  # a door, which converts what it is given
         checked = _jaxtyped(function, typechecker=typechecker)
         if not isinstance(function, FunctionType):
             return checked

@@ -6,12 +6,8 @@ from gain_examples import complete, ring
 from hypothesis import given
 from hypothesis import strategies as st
 
-from problems.desired_formation import (
-    DesiredFormation,
-    _as_graph,
-    _as_points,
-    _validate_graph,
-)
+from dynamics.inputs import InputError
+from problems.desired_formation import DesiredFormation, _validate_graph
 
 
 def spans(kernel, column):
@@ -69,8 +65,8 @@ LEAF = changed(FULL, [(5, k) for k in range(1, 6)] + [(k, 5) for k in range(1, 6
     [
         (POINTS[:2], FULL[:2, :2], "at least 3 points, got 2"),
         (POINTS[[0, 1, 2, 3, 1, 5]], FULL, "points 1 and 4 coincide"),
-        (POINTS * [1, 1, np.nan], FULL, "point 0 is .* must be finite"),
-        (changed(POINTS, [(4, 2)], 1e200), FULL, r"point 4 is .* at most 1e\+09 m"),
+        (POINTS * [1, 1, np.nan], FULL, "points: must be an array of finite numbers"),
+        (changed(POINTS, [(4, 2)], 1e20), FULL, r"point 4 is .* at most 1e\+09 m"),
         (POINTS, changed(FULL, [(3, 3)], True), "vertex 3 is its own neighbor"),
         (POINTS, changed(FULL, [(4, 2)], False), "edge 2–4 is missing .*: set 4–2"),
         (POINTS, PARTS, "no edge joins vertices 0, 1, 2 to the rest"),
@@ -98,23 +94,23 @@ def test_a_disconnected_part_is_named_and_long_lists_are_cut(rng):
 
 def test_lists_and_integers_are_the_formation_of_the_same_numbers():
     points = np.round(5 * POINTS)
-    assert np.array_equal(_as_points(points.astype(int).tolist()), points)
-    assert _as_points(points.astype(int)).dtype == float and _as_points(points) is points
-    assert np.array_equal(_as_graph(FULL.astype(int).tolist()), FULL) and _as_graph(FULL) is FULL
+    formation = DesiredFormation(points.astype(int).tolist(), FULL.astype(int).tolist())
+    assert np.array_equal(formation.points, points) and formation.points.dtype == float
+    assert np.array_equal(formation.graph, FULL) and formation.graph.dtype == bool
 
 
 @pytest.mark.parametrize(
-    ("function", "value", "told"),
+    ("points", "graph", "told"),
     [
-        (_as_points, POINTS[:, :2], r"rows of three real numbers \[m\], got .* shape \(6, 2\)"),
-        (_as_points, POINTS + 1j, "real numbers .* complex128"),
-        (_as_points, np.ma.masked_array(POINTS), "points must not be a masked array"),
-        (_as_points, [[0, 0, 0], [1, 1]], "points must have rows of one length"),
-        (_as_graph, FULL * 0.5, "True and False, or of 1 and 0"),
-        (_as_graph, None, "True and False, or of 1 and 0"),
+        (POINTS[:, :2], FULL, r"points: must be .* shape \(n, 3\), got .* shape \(6, 2\)"),
+        (POINTS + 1j, FULL, "points: .*complex128"),
+        (np.ma.masked_array(POINTS), FULL, "points: must not be a masked array"),
+        ([[0, 0, 0], [1, 1]], FULL, "points: must have rows of one length"),
+        (POINTS, FULL * 0.5, "graph: must be an array of booleans"),
+        (POINTS, FULL * 2, "graph: must be an array of True and False"),
+        (POINTS, None, "graph: must be an array of True and False"),
     ],
 )
-def test_what_is_no_matrix_of_points_or_edges_is_refused(function, value, told):
-    # In tests, the annotated shapes would be refused before the formation converts them.
-    with pytest.raises(ValueError, match=told):
-        function(value)
+def test_what_is_no_matrix_of_points_or_edges_is_refused(points, graph, told):
+    with pytest.raises(InputError, match=told):
+        DesiredFormation(points, graph)

@@ -124,7 +124,7 @@ def test_points_too_close_for_rounding_leave_the_gains_undecided():
 
 
 def test_a_tolerance_is_positive():
-    with pytest.raises(ValueError, match="tolerance must be positive, got nan"):
+    with pytest.raises(ValueError, match="tolerance: must be a finite number above 0, got nan"):
         design_gains(pyramid(), tolerance=np.nan)
 
 

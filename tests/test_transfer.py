@@ -165,7 +165,9 @@ def test_a_transfer_without_steps_is_refused():
     ("U", "V"), [(0.0, 1.0), (-0.3, 1.0), (np.nan, 1.0), (inf, 1.0), (0.3, 0.0), (0.3, np.nan)]
 )
 def test_limits_that_are_not_positive_are_refused(U, V):
-    with pytest.raises(ValueError, match=f"max_control = {U} and max_speed = {V}"):
+    with pytest.raises(
+        ValueError, match=f"max_control = {U} and max_speed = {V}|^max_(control|speed): must be"
+    ):
         TransferProblem(plane, U, V)
 
 

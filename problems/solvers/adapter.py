@@ -3,14 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
 
 Vector = Float[Array, " m"]
@@ -129,7 +131,9 @@ def make_result(
 
 
 @checked
-def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array, " m"]:
+def lower_bounds(
+    b: Vector, zero: Annotated[int, Ge(0)], infinity: float = np.inf
+) -> Float[Array, " m"]:
     """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
 
     Args:
@@ -137,6 +141,8 @@ def lower_bounds(b: Vector, zero: int, infinity: float = np.inf) -> Float[Array,
         zero: Number of equations; they come first.
         infinity: Number that the library takes for infinite.
     """
+    if zero > len(b):
+        raise InputError("zero", f"must be at most {len(b)}, got {zero}")
     return np.concatenate([b[:zero], np.full(len(b) - zero, -infinity)])
 
 

@@ -28,11 +28,12 @@ class DaqpSession:
         tolerances = dict.fromkeys(("primal_tol", "dual_tol"), tolerance / 10)
         self._solver.settings = {**tolerances, "iter_limit": MAX_ITERATIONS}
         H, A = problem.hessian.toarray(), problem.A.toarray()
-        self._solver.setup(H, problem.q, A, problem.b, lower, sense)
+        own = problem.q.copy(), A, problem.b.copy()  # which it writes to
+        self._solver.setup(H, *own, lower, sense)
 
     def solve(self, b: Vector) -> SolverResult:
         """Solve with another right-hand side."""
-        self._solver.update(bupper=b, blower=lower_bounds(b, self._zero, INFINITY))
+        self._solver.update(bupper=b.copy(), blower=lower_bounds(b, self._zero, INFINITY))
         x, _, flag, info = self._solver.solve()
         status = STATUSES.get(flag, "stopped")
         return make_result(status, f"exit flag {flag}", info["iterations"], x, info["lam"])

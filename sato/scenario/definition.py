@@ -9,6 +9,7 @@ From the annotations come the check at construction, the keys with their units, 
 of keys in the documentation, the messages of errors, and equality by value.
 """
 
+import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, 
 
 from dynamics.doors import check_methods
 from dynamics.inputs import as_array as as_array
+from dynamics.inputs import shorten
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, format_value, join_names
@@ -55,12 +57,46 @@ class Inline(NamedTuple):
     """Mark of a field whose own keys stand in the same table, as those of a model do."""
 
 
+class Words(str):
+    """Annotation that a signature shows as it is."""
+
+    __repr__ = str.__str__
+
+
+class ShortSignature:
+    """Signature of a definition as `help` shows it: names, short types and defaults."""
+
+    def __get__(self, instance: Any, owner: Any) -> inspect.Signature:
+        """Shorten the signature of a class, and of its constructor, which stands below."""
+        if "__dataclass_fields__" not in vars(owner):
+            raise AttributeError("a class without fields has no signature of its own")
+        long = inspect.signature(owner.__init__)
+        short = {field.name: Words(_type_words(field.hint)) for field in fields_of(owner)}
+        parameters = [
+            p.replace(annotation=short.get(p.name, p.empty)) for p in long.parameters.values()
+        ]
+        owner.__init__.__signature__ = long.replace(parameters=parameters)
+        return long.replace(parameters=parameters[1:], return_annotation=long.empty)
+
+
+def _type_words(hint: Any) -> str:
+    origin, parts = get_origin(hint), [part for part in get_args(hint) if part is not Ellipsis]
+    if origin is Literal:
+        return " | ".join(map(repr, parts))
+    words = list(dict.fromkeys(map(_type_words, parts[:1] if origin is Annotated else parts)))
+    if origin is tuple:
+        return f"tuple[{', '.join(words)}, ...]"
+    return " | ".join(words) or ("None" if hint is type(None) else hint.__name__)
+
+
 class Definition:
     """Base of frozen dataclasses that check their fields and compare by value.
 
     Raises:
         InputError: A field has a value that it cannot have, or two contradict each other.
     """
+
+    __signature__ = ShortSignature()
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Let public methods of a definition of this package check their arguments."""
@@ -97,7 +133,7 @@ class Definition:
     def __repr__(self) -> str:
         """Show the fields that are not at their defaults."""
         shown = [
-            f"{field.name}={_short(value)}"
+            f"{field.name}={shorten(value)}"
             for field in fields_of(type(self))
             if not _equal(value := getattr(self, field.name), field.default)
         ]
@@ -285,11 +321,3 @@ def _equal(one: Any, other: Any) -> bool:
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_equal, one, other))
     return bool(one == other)
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, Array):
-        return f"<array of shape {value.shape}>"
-    if isinstance(value, tuple) and len(value) > 3 and not is_named_tuple(type(value)):
-        return f"<{len(value)} values>"
-    return repr(value)
