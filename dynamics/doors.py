@@ -99,7 +99,7 @@ def _check_call(
     sizes = Sizes(getattr(owner, "array_sizes", {}) if is_instance else {}, keeps_arrays)
     checks, parameters = checks_of(function), given.signature.parameters
     for name, value in list(given.arguments.items())[skipped:]:
-        if (check := checks.get(name)) is None:
+        if (check := checks.get(name)) is None or value is parameters[name].default:
             continue
         many = parameters[name].kind
         if many is inspect.Parameter.VAR_POSITIONAL:

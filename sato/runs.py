@@ -11,12 +11,14 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
+from dynamics.doors import checked
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Report
@@ -24,6 +26,7 @@ from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
+from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, from_dict, parse, read
 from sato.scenario.origin import Origin
@@ -40,30 +43,27 @@ Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """Mission that was flown: its data, its summary, and the mission itself.
 
     Args:
-        recorded: Arrays and attributes of the run file.
+        recorded: Arrays and attributes of the run file; `RunData.from_xarray` takes a dataset's.
         summary: Entries of `summary.json`.
         mission: Not drawn; None where a file holds a model of the user's own.
 
     Raises:
-        InputError: The data are no `RunData`.
+        RunFileError: The data are not those of a run.
     """
 
     recorded: RunData
     summary: dict[str, Any]
-    mission: Any | None = None
+    mission: Mission | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a dataset in place of its arrays."""
-        if not isinstance(self.recorded, RunData):
-            got = type(self.recorded).__name__
-            raise InputError(
-                "recorded", f"must be RunData, got {got}; RunData.from_xarray would do"
-            )
+        """Refuse data that are not those of a run."""
+        record.check_format("recorded", self.recorded)
 
     @cached_property
     def data(self) -> "xarray.Dataset":
@@ -108,12 +108,18 @@ class Run:
         digest = self.recorded.attrs.get("digest", "")
         return write_figures(self.figures(), Path(directory), pdf, digest)
 
-    def animate(self, directory: str | Path, **options: Any) -> Path:
-        """Write an animation of the run; options as in `sato.render.animate`."""
+    def animate(
+        self,
+        directory: str | Path,
+        fps: Annotated[int, Gt(0), Le(1000)] = 20,
+        frames: Annotated[int, Gt(0)] = record.MAX_FRAMES,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> Path:
+        """Write an animation of the run, as `sato.render.animate` does."""
         from sato.render import animate
 
         digest = self.recorded.attrs.get("digest", "")
-        return animate(self.scene(), Path(directory), digest, **options)
+        return animate(self.scene(), Path(directory), digest, fps, frames, progress)
 
     def scene(self) -> "SwarmScene":
         """Make the scene of the run, as viewers show it.
@@ -156,15 +162,16 @@ class Run:
         return f"<pre>{escape(repr(self))}</pre>"
 
 
+@checked
 def run(
     scenario: Scenario,
     *,
-    seed: int = 0,
+    seed: Seed = 0,
     overrides: Iterable[str] = (),
     progress: bool | FrameCallback | None = None,
     processes: Literal["lock-step", "free-running"] | None = None,
-    port: int | None = None,
-    speed: float = 1.0,
+    port: Annotated[int, Gt(0), Lt(2**16)] | None = None,
+    speed: Annotated[float, Ge(1e-3), Le(1e3)] = 1.0,
 ) -> Run:
     """Fly a mission and check the run.
 
@@ -188,7 +195,7 @@ def run(
         ValueError: The scenario cannot be flown; nothing was.
     """
     began = perf_counter()
-    overrides = overrides if isinstance(overrides, str) else tuple(overrides)
+    overrides = tuple(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
     with threadpool_limits(1, user_api="blas"):
         mission, drawn, rng = _draw(scenario, seed, overrides)
@@ -220,7 +227,8 @@ def run(
         return _add_check_results(Run(data, record.initial_summary(data.attrs), mission))
 
 
-def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
+@checked
+def simulate(scenario: Scenario, seed: Seed = 0, overrides: Iterable[str] = ()) -> Iterator[Frame]:
     """Fly a mission and yield its frames one by one.
 
     Args:
@@ -238,6 +246,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Iterable[str] = ()) -
     return iter(limited(lambda: next(frames, None)), None)
 
 
+@checked
 def load(path: str | Path, mission: Mission | None = None) -> Run:
     """Load a run from its folder, or from the run file itself.
 
@@ -264,17 +273,13 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
         raise record.RunFileError(f"{path}: {reason}") from error
 
 
-def _draw(scenario: object, seed: Any, overrides: Iterable[str]) -> tuple[Any, Any, Generator]:
-    is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not is_integer or not 0 <= seed < 2**64:
+def _draw(scenario: Scenario, seed: Any, overrides: Iterable[str]) -> tuple[Any, Any, Generator]:
+    if not 0 <= seed < 2**64:
         raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
     if isinstance(scenario, str | Path):
         mission = read(scenario, overrides)
     elif isinstance(scenario, Mapping):
         mission = from_dict(dict(scenario), overrides)
-    elif not isinstance(scenario, Mission):
-        got = f"an object of type {type(scenario).__name__}"
-        raise InputError("scenario", f"must be a name, a path, a mission or a dict, got {got}")
     elif tuple(overrides):
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:

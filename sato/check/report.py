@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dynamics.doors import checked
+
 
 class Promise(NamedTuple):
     """Property that a run must have, and the value that was found."""
@@ -18,6 +20,7 @@ class Promise(NamedTuple):
     message: str
 
 
+@checked
 def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
     """Promise that there are no violations, described in the plural.
 
@@ -27,12 +30,14 @@ def expect_none(name: str, violations: ArrayLike, text: str) -> Promise:
     return Promise(name, not count, float(count), 0.0, f"{count or 'no'} {text}")
 
 
+@checked
 def expect_small_error(name: str, errors: ArrayLike, tolerance: float, text: str) -> Promise:
     """Promise that the largest of all errors is within its tolerance."""
     worst = largest(errors)
     return Promise(name, bool(worst <= tolerance), worst, tolerance, f"{worst:.3g} {text}")
 
 
+@checked
 def expect_below(name: str, values: ArrayLike, limit: float, relative: float, text: str) -> Promise:
     """Promise that a quantity does not exceed its limit, but for a relative tolerance."""
     most = largest(values)
@@ -45,6 +50,7 @@ def largest(*errors: ArrayLike) -> float:
     return float(np.max([np.max(np.abs(each), initial=0.0) for each in errors]))
 
 
+@checked
 @dataclass(frozen=True)
 class Report:
     """Promises of a run, and the summary that was recomputed with them."""

@@ -10,6 +10,7 @@ of keys in the documentation, the messages of errors, and equality by value.
 """
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
@@ -17,18 +18,25 @@ from functools import cache, cached_property
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le, Lt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
+from dynamics.doors import check_methods
 from dynamics.inputs import as_array as as_array
 from dynamics.inputs import shorten
 from dynamics.units import Key as Key
 from dynamics.units import Unit
-from sato.scenario.errors import InputError, explain, join_names
+from sato.scenario.errors import InputError, explain, format_value, join_names
 from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
+Seed = Annotated[int, Ge(0), Lt(2**64)]
+Amount = Annotated[int, Positive]
+Count = Annotated[int, NotNegative]
+Axes = Annotated[int, Ge(2), Le(3)]
+LONGEST_TEXT = 4096  # characters
+UNWRITABLE = re.compile("[\\0-\\x1f\\x7f\ud800-\udfff]")  # controls, and halves of characters
 LATER: Any = None  # default of a field that follows from others, or is drawn
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -89,6 +97,11 @@ class Definition:
     """
 
     __signature__ = ShortSignature()
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let public methods of a definition of this package check their arguments."""
+        if cls.__module__.startswith("sato."):
+            check_methods(cls)
 
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""
@@ -184,6 +197,9 @@ class Field:
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
         if is_list and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())
+        if isinstance(value, str) and (len(value) > LONGEST_TEXT or UNWRITABLE.search(value)):
+            reason = f"must be a line of text, of at most {LONGEST_TEXT} characters"
+            raise InputError("", f"{reason}, got {format_value(value)}")
         try:
             return check_range(self._adapter.validate_python(value))
         except ValidationError as error:
@@ -282,7 +298,7 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        one = f"{value:g}"
+        one = format_value(value)
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
 

@@ -11,6 +11,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field
 
+from dynamics.doors import checked
 from sato.scenario.definition import Definition, In
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
 from sato.scenario.overrides import Setting, override
@@ -20,7 +21,7 @@ from sato.systems import definition_of
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
 FONT_FILES = (".ttf", ".otf", ".ttc")
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -69,6 +70,7 @@ def scenarios() -> dict[str, str]:
     return {name: text.split("\n")[0].lstrip("# ") for name, text in texts.items()}
 
 
+@checked
 def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
     """Read a built-in scenario by its name, or a file.
 
@@ -83,6 +85,7 @@ def read(name: str | Path, overrides: Iterable[str] = ()) -> Mission:
     return parse(text, overrides, source=str(name), folder=folder)
 
 
+@checked
 def read_data(name: str | Path) -> dict[str, Any]:
     """Read the tables of a scenario as `from_dict` takes them; the name is as of `read`.
 
@@ -105,6 +108,7 @@ def _read_text(name: str | Path) -> tuple[str, Path]:
     return read_text(file), file.parent
 
 
+@checked
 def read_text(file: Path) -> str:
     """Read a file.
 
@@ -118,6 +122,7 @@ def read_text(file: Path) -> str:
         raise ScenarioError(f"{file}: cannot be read: {reason}") from error
 
 
+@checked
 def parse(
     text: str,
     overrides: Iterable[str] = (),
@@ -143,6 +148,7 @@ def parse(
         raise ScenarioError(f"{source}: {error}") from error
 
 
+@checked
 def load_toml(text: str, source: str) -> dict[str, Any]:
     """Read TOML; what has no name is named after its source.
 
@@ -157,6 +163,7 @@ def load_toml(text: str, source: str) -> dict[str, Any]:
     return data
 
 
+@checked
 def from_dict(
     data: dict[str, Any], overrides: Iterable[Setting] = (), *, folder: Path | None = None
 ) -> Mission:
@@ -170,10 +177,10 @@ def from_dict(
     Raises:
         InputError: The keys or values are not those of a mission.
     """
-    if isinstance(overrides, str):
-        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
-        raise InputError("overrides", reason)
-    data = _copied(data, folder)
+    try:
+        data = _copied(data, folder)
+    except RecursionError as error:
+        raise InputError("", "has tables or lists too deep, or within themselves") from error
     definition = definition_of(data.pop("system", ""))
     for setting in overrides:
         override(data, setting, definition)
@@ -181,6 +188,7 @@ def from_dict(
     return mission
 
 
+@checked
 def spell_out(name: str | Path, overrides: Iterable[str]) -> tuple[str, ...]:
     """Write overrides of a scenario as "table.key = value", each with all its tables.
 
@@ -197,6 +205,8 @@ def spell_out(name: str | Path, overrides: Iterable[str]) -> tuple[str, ...]:
 def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
     # Files that a scenario names lie beside it, wherever it is run from.
     if isinstance(value, dict):
+        if names := [name for name in value if not isinstance(name, str)]:
+            raise InputError(key, f"must have keys of text, got {format_value(names[0])}")
         return {name: _copied(part, folder, name) for name, part in value.items()}
     if isinstance(value, list):
         return [_copied(part, folder) for part in value]

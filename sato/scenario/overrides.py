@@ -6,7 +6,7 @@ from copy import deepcopy
 from typing import Any, NamedTuple
 
 from sato.scenario.definition import Field, fields_of
-from sato.scenario.errors import InputError, join_names
+from sato.scenario.errors import InputError, format_value, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
 Path = tuple[str | int, ...]
@@ -57,9 +57,16 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
         for old in spot.same_keys(key):
             del table[old]
-        table[key] = deepcopy(value)
+        table[key] = _copied(address, value)
     # Numbers pick tables of a list.
     return holders[0].address(key) if address == plain else address
+
+
+def _copied(address: str, value: Any) -> Any:
+    try:
+        return deepcopy(value)
+    except (TypeError, RecursionError) as error:
+        raise InputError(address, f"takes no value such as {format_value(value)}") from error
 
 
 def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:

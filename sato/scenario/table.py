@@ -116,11 +116,13 @@ def choose(field: Field, data: Any) -> type:
     kind, names = data.get("kind"), join_names(map(format_value, field.kinds), "and")
     if kind is None:
         raise InputError("kind", f"is missing; there are {names}")
-    if isinstance(kind, str) and kind in field.kinds:
+    if not isinstance(kind, str):
+        raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}")
+    if kind in field.kinds:
         return field.kinds[kind]
     if kind == OWN:
         raise InputError("kind", '"own" is of a mission in Python, which no file can hold')
-    close = closest_name(str(kind), field.kinds)
+    close = closest_name(kind, field.kinds)
     hint = f'; did you mean "{close}"?' if close else ""
     raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}{hint}")
 

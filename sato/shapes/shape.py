@@ -14,7 +14,17 @@ from numpy import ndarray as Array
 
 from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
-from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
+from sato.scenario.definition import (
+    Amount,
+    Axes,
+    Coordinates,
+    Definition,
+    Matrix,
+    NotNegative,
+    Positive,
+    as_array,
+    errors_in,
+)
 from sato.scenario.errors import InputError, round_up
 from sato.shapes.ordering import farthest_point_sampling
 
@@ -41,14 +51,16 @@ class Shape(Definition):
     spacing: Annotated[Size | None, Unit("m"), "least distance of two targets"] = None
 
     @abstractmethod
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Draw the shape at any scale.
 
         Raises:
             ValueError: It cannot be drawn.
         """
 
-    def place(self, count: int, axes: int, min_distance: float = 0.0) -> Float[Array, "count axes"]:
+    def place(
+        self, count: Amount, axes: Axes, min_distance: Annotated[float, NotNegative] = 0.0
+    ) -> Float[Array, "count axes"]:
         """Return positions in the space of the model [m].
 
         Args:
@@ -59,8 +71,6 @@ class Shape(Definition):
         Raises:
             InputError: The shape does not fit the count, the distance or the model.
         """
-        if count < 1:
-            raise InputError("", f"a shape needs at least one target, got count = {count}")
         with errors_in(""):
             drawn = self._draw_to_scale(count, axes, min_distance)
         d = drawn.shape[1]
@@ -70,7 +80,7 @@ class Shape(Definition):
         placed[:, :d] += drawn
         return placed
 
-    def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
+    def place_velocities(self, count: Amount, axes: Axes) -> Float[Array, "count axes"] | None:
         """Return the velocity at each position [m/s], where the shape gives them."""
         return None
 
@@ -79,13 +89,13 @@ class Shape(Definition):
         """True where the shape depends on a file or an installed font."""
         return any(getattr(self, name, None) is not None for name in ("file", "font"))
 
-    def without_files(self, count: int, axes: int) -> Any:
+    def without_files(self, count: Amount, axes: Axes) -> Any:
         """Return the same shape with the contents of its files."""
         if not self.uses_files:
             return self
         return Points(self.place(count, axes), self.place_velocities(count, axes), keep_order=True)
 
-    def _draw_to_scale(self, count: int, axes: int, needed: float) -> Float[Array, "count d"]:
+    def _draw_to_scale(self, count: Amount, axes: Axes, needed: float) -> Float[Array, "count d"]:
         # Positions about the origin, or where an absolute shape is drawn if there is no center.
         points, middle, drawn_size = self.draw(count, axes)
         name = next((name for name in ("height", "radius") if hasattr(self, name)), "")
@@ -153,9 +163,9 @@ class Points(Shape):
     @property
     def listed(self) -> Float[Array, "k d"]:
         """All points [m], of the file where there is one."""
-        return np.asarray(read_points(Path(self.file)) if self.file else self.positions)
+        return np.asarray(self.positions if self.file is None else read_points(Path(self.file)))
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Take the first points of the order."""
         listed = self.listed
         middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
@@ -163,7 +173,7 @@ class Points(Shape):
             middle = np.zeros_like(middle)  # the points stay what they are to the last bit
         return Drawing(listed[self._order(listed, count)], middle)
 
-    def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
+    def place_velocities(self, count: Amount, axes: Axes) -> Float[Array, "count axes"] | None:
         """Return the velocity at each position [m/s], where they are given.
 
         Raises:
