@@ -3,6 +3,7 @@
 import collections.abc
 import inspect
 import operator
+import os
 import re
 import types
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import annotated_types
 import numpy as np
 from numpy import ndarray as Array
+from numpy.typing import ArrayLike
 
 from dynamics.doors import Allow
 from dynamics.inputs import (
@@ -42,6 +44,7 @@ ARRAYS: dict[str, tuple[str, Any, str]] = {
     "int2": ("iu", np.int64, "integers"),
     "complex64": ("iufc", complex, "finite numbers"),
 }
+LONGEST_NAME = 255  # of a file [byte]
 DIMENSION = re.compile(r"(?:(\d+)\*)?(\w+)(?:([+-])(\d+))?")  # 3, n, 2*d, T+1
 
 
@@ -156,12 +159,22 @@ FINITE = Numbers()
 @cache
 def checks_of(function: Any) -> dict[str, Check]:
     """Make the checks of a function's arguments, by name."""
-    hints, checks = get_type_hints(function, include_extras=True), {}
+    hints, checks = _read_hints(function), dict[str, Check]()
     for name, parameter in inspect.signature(function).parameters.items():
         numbers = Numbers(Allow(infinite=_is_infinite(parameter.default)))
         if (check := make_check(hints.get(name, Any), numbers)) is not None:
             checks[name] = check
     return checks
+
+
+def _read_hints(function: Any) -> dict[str, Any]:
+    """Evaluate the annotations; one that is imported for type checkers alone stays text."""
+    hints, known = dict[str, Any](function.__annotations__), inspect.unwrap(function).__globals__
+    for name, hint in hints.items():
+        alone = types.SimpleNamespace(__annotations__={name: hint})
+        with suppress(NameError):
+            hints |= get_type_hints(alone, known, include_extras=True)
+    return hints
 
 
 def _is_infinite(value: Any) -> bool:
@@ -171,12 +184,20 @@ def _is_infinite(value: Any) -> bool:
 def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
     """Make the check of an annotation; None where it takes everything."""
     origin, parts = get_origin(hint), get_args(hint)
+    if isinstance(hint, str):
+        return _check_class_of_name(hint.rpartition(".")[2]) if hint[-1].isalnum() else None
     if origin is Annotated:
         return make_check(parts[0], numbers.with_marks(list(parts[1:])))
+    if hint == ArrayLike:
+        return _simple("numbers", _read_numbers)
+    if hasattr(hint, "dim_str") and not isinstance(hint.dtypes, list | tuple):
+        return _check_class(Array)  # of any entries
     if hasattr(hint, "dim_str"):
         return _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
-        others = [part for part in parts if part not in (type(None), Symbol)]
+        # A path may be text, which no other text is to be taken for.
+        skipped = {type(None), Symbol, *([str] if Path in parts else [])}
+        others = [part for part in parts if part not in skipped]
         return _check_union([make_check(part, numbers) for part in others], parts)
     if origin is Literal:
         return _check_literal(parts)
@@ -224,8 +245,8 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
         if number is None or (kind is int and not isinstance(number, int)):
             return None
         if kind is float and isinstance(number, int):
-            number = float(number) if abs(number) <= LARGEST else np.nan
-        if not numbers.admit(number):
+            number = float(number) if abs(number) <= LARGEST else None
+        if number is None or not numbers.admit(number):
             return None
         if kind is int and is_bounded:
             return number
@@ -234,10 +255,19 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
     return _simple(words[kind] + numbers.words(), convert)
 
 
+def _is_path(value: Any) -> bool:
+    if not isinstance(value, str | PathLike) or value == "":
+        return False
+    with suppress(ValueError):  # no file has a name with half a character, or 0, in it
+        names = os.fsencode(value).split(b"/")
+        return not any(b"\0" in name for name in names) and max(map(len, names)) <= LONGEST_NAME
+    return False
+
+
 PLAIN: dict[Any, tuple[str, Callable[[Any], Any]]] = {
     bool: ("True or False", lambda v: bool(v) if isinstance(v, bool | np.bool_) else None),
     str: ("text", lambda v: str(v) if isinstance(v, str) else None),
-    Path: ("a path", lambda v: v if isinstance(v, str | PathLike) else None),
+    Path: ("a path", lambda v: v if _is_path(v) else None),
     collections.abc.Callable: ("a function", lambda v: v if callable(v) else None),
 }
 
@@ -250,11 +280,18 @@ def _check_class(kind: type) -> Check:
             raise InputError("", f"must be {wanted}, got {describe(value)}")
         for name, size in getattr(value, "array_sizes", {}).items():
             if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
-                expected = f"must have {name} = {sizes.known[name]} as the others"
-                raise InputError("", f"{expected}, got {name} = {size}")
+                reason = f"must be {sizes.known[name]} as of the others, got {size}"
+                raise InputError(name, reason)
         return value
 
     return Check(lambda sizes: wanted, convert)
+
+
+def _check_class_of_name(name: str) -> Check:
+    def convert(value: Any) -> Any:
+        return value if name in (kind.__name__ for kind in type(value).__mro__) else None
+
+    return _simple(f"a {name}", convert)
 
 
 def _check_literal(values: tuple[Any, ...]) -> Check:
@@ -291,8 +328,10 @@ def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | 
 
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, list | tuple | Array) or (type(value) is Array and not value.ndim):
-            raise InputError("", f"must be a list, got {describe(value)}")
+        is_list = isinstance(value, list | tuple | range | Array)
+        if not is_list or (type(value) is Array and not value.ndim):
+            cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
+            raise InputError("", f"must be a list, got {describe(value)}{cure}")
         if check is None:
             return value
         found = (check_entry(str(i), check, entry, sizes) for i, entry in enumerate(value))
@@ -303,7 +342,8 @@ def _check_list(check: Check | None) -> Check:
 
 def _check_tuple(checks: list[Check | None]) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, list | tuple | Array) or len(value) != len(checks):
+        is_list = isinstance(value, list | tuple) or (type(value) is Array and value.ndim > 0)
+        if not is_list or len(value) != len(checks):
             raise InputError("", f"must be {len(checks)} values, got {describe(value)}")
         pairs = enumerate(zip(checks, value, strict=True))
         return tuple(v if c is None else check_entry(str(i), c, v, sizes) for i, (c, v) in pairs)
@@ -373,6 +413,12 @@ def _read_array(value: Any, kinds: str, dtype: Any, takes_objects: bool) -> Any:
     if dtype is bool and not ((array == 0) | (array == 1)).all():
         return None
     return array.astype(dtype)
+
+
+def _read_numbers(value: Any) -> Any:
+    with suppress(InputError):
+        return read_array(value, "biuf")
+    return None
 
 
 def _has_symbols(value: Any) -> bool:

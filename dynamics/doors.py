@@ -68,9 +68,10 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
     @wraps(function)
     def enter(*args: Any, **kwargs: Any) -> Any:
         frame = sys._getframe(1)
-        if frame.f_globals.get("__name__") == "dataclasses":  # `replace`
-            frame = frame.f_back or frame
-        if frame.f_globals.get("__name__", "").startswith(INSIDE):
+        caller = frame.f_globals.get("__name__") or ""
+        if caller == "dataclasses" and frame.f_back is not None:  # `replace`
+            caller = frame.f_back.f_globals.get("__name__") or ""
+        if caller.startswith(INSIDE):
             return function(*args, **kwargs)
         try:
             given = _signature(function).bind(*args, **kwargs)
@@ -98,7 +99,7 @@ def _check_call(
     sizes = Sizes(getattr(owner, "array_sizes", {}) if is_instance else {}, keeps_arrays)
     checks, parameters = checks_of(function), given.signature.parameters
     for name, value in list(given.arguments.items())[skipped:]:
-        if (check := checks.get(name)) is None:
+        if (check := checks.get(name)) is None or value is parameters[name].default:
             continue
         many = parameters[name].kind
         if many is inspect.Parameter.VAR_POSITIONAL:

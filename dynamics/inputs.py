@@ -52,6 +52,7 @@ def format_value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
+        value = value if value[:40].isprintable() else repr(value[:40])[1:-1] + value[40:41]
         return f'"{value}"' if len(value) <= 40 else f'"{value[:40]}…"'
     if isinstance(value, dict):
         return "a table"
@@ -114,7 +115,7 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
     wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
-    if value is None or isinstance(value, str | bytes | dict | type):
+    if value is None or isinstance(value, str | bytes | bytearray | memoryview | dict | type):
         raise InputError("", f"must be an array of {wanted}, got {format_value(value)}")
     if is_marked(value):
         cure = "its plain numbers in SI units would do"

@@ -112,6 +112,8 @@ class NonlinearProgram:
         N, T, m = self.shape
         states = N * (T + 1) * 2 * m
         z = np.asarray(x, dtype=float).ravel()
+        if len(z) < states + 2 * N * T * m:
+            raise InputError("x", f"must have {states + 2 * N * T * m} entries, got {len(z)}")
         plus, minus = z[states : states + 2 * N * T * m].reshape(2, N, T, m)
         x = z[:states].reshape(N, T + 1, 2 * m) * self.state_units
         return x, self.control_unit * (plus - minus)

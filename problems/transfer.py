@@ -28,6 +28,8 @@ Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 class Expression(Protocol):
     """Expression of CVXPY, which is imported only where it is needed."""
 
+    shape: tuple[int, ...]
+
     def is_affine(self) -> bool:
         """Tell whether it is affine."""
 

@@ -90,7 +90,9 @@ def run(
     free_running: Annotated[
         bool, Option("--free-running", help="Each vehicle a process, by the clock.")
     ] = False,
-    port: Annotated[int | None, Option(help="Port of processes; any that is free.")] = None,
+    port: Annotated[
+        int | None, Option(min=1, max=65535, help="Port of processes; any that is free.")
+    ] = None,
     speed: Annotated[
         float, Option(min=1e-3, max=1e3, help="Of processes that run freely, over the clock's.")
     ] = 1.0,
@@ -124,7 +126,9 @@ def run(
 @app.command()
 def vehicle(
     number: Annotated[int, Argument(metavar="NUMBER", min=0, help="Of the vehicle.")],
-    port: Annotated[int, Option(help="Port at which `sato run --processes` listens.")],
+    port: Annotated[
+        int, Option(min=1, max=65535, help="Port at which `sato run --processes` listens.")
+    ],
 ) -> None:
     """Start the process of a vehicle whose own was killed; it joins the flight."""
     from sato.processes.vehicle_process import run_vehicle

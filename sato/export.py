@@ -18,6 +18,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.coordinate_frames import LVLH
+from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.run_data import RunData
 from sato.scenario.errors import InputError, join_names
@@ -51,6 +52,7 @@ class Ephemeris(NamedTuple):
     inertial: Float[Array, "k 6"] | None  # where there is a chief [m, m/s]
 
 
+@checked
 def export(
     data: RunData,
     path: str | Path,

@@ -18,6 +18,7 @@ from sato.scenario.errors import InputError
 CIRCLE_CORNERS, SPHERE_CORNERS = 24, 200  # of the polytopes about ellipsoids
 LEAST_THICKNESS = 1e-6  # of the size of a polytope, below which it has no volume
 Points = Float[Array, "*k d"]
+Factors = Annotated[tuple[float, ...], Positive]  # of each axis
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -65,7 +66,7 @@ class Obstacle(Definition):
         """Compute the distance of points from it at the start, 0 inside [m]."""
         return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
 
-    def scaled(self, factors: tuple[float, ...]) -> "Obstacle":
+    def scaled(self, factors: Factors) -> "Obstacle":
         """Return the same in space that is scaled along its axes.
 
         Args:
@@ -76,6 +77,11 @@ class Obstacle(Definition):
     def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:
         drift = None if self.velocity is None else _scale(self.velocity, factors)
         return {"velocity": drift, "known": self.known}
+
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"d": self.axes}
 
     @property
     def axes(self) -> int:
@@ -112,7 +118,7 @@ class Sphere(Obstacle):
     def thickness(self) -> float:  # noqa: D102
         return self.radius
 
-    def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
+    def scaled(self, factors: Factors) -> "Ellipsoid":  # noqa: D102
         semi_axes = tuple(self.radius * f for f in factors)
         return Ellipsoid(_scale(self.center, factors), semi_axes, **self._scale_motion(factors))
 
@@ -148,7 +154,7 @@ class Box(Obstacle):
             raise InputError("low_m", "must be less than high_m along every axis")
         super().check()
 
-    def scaled(self, factors: tuple[float, ...]) -> "Box":  # noqa: D102
+    def scaled(self, factors: Factors) -> "Box":  # noqa: D102
         sides = _scale(self.low, factors), _scale(self.high, factors)
         return Box(*sides, **self._scale_motion(factors))
 
@@ -186,7 +192,7 @@ class Ellipsoid(Obstacle):
             raise InputError("semi_axes_m", f"must be positive, got {min(self.semi_axes):g}")
         super().check()
 
-    def scaled(self, factors: tuple[float, ...]) -> "Ellipsoid":  # noqa: D102
+    def scaled(self, factors: Factors) -> "Ellipsoid":  # noqa: D102
         own = _scale(self.center, factors), _scale(self.semi_axes, factors)
         return Ellipsoid(*own, **self._scale_motion(factors))
 
@@ -256,8 +262,9 @@ class Polytope(Obstacle):
             return np.asarray(self.points)
         return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
 
-    def scaled(self, factors: tuple[float, ...]) -> "Polytope":  # noqa: D102
-        return Polytope(self._listed * np.array(factors), **self._scale_motion(factors))
+    def scaled(self, factors: Factors) -> "Polytope":  # noqa: D102
+        corners = np.array([_scale(corner, factors) for corner in self._listed.tolist()])
+        return Polytope(corners, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102
@@ -274,6 +281,8 @@ class Polytope(Obstacle):
 
 
 def _scale(vector: tuple[float, ...], factors: tuple[float, ...]) -> tuple[float, ...]:
+    if len(factors) != len(vector):
+        raise InputError("factors", f"must be {len(vector)}, one of each axis, got {len(factors)}")
     return tuple(x * f for x, f in zip(vector, factors, strict=True))
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
+from dynamics.doors import check_methods, checked
 from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
@@ -30,6 +31,7 @@ from sato.scenario.errors import InputError
 from sato.systems import load_system
 
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+MAX_FRAMES = 300  # of a film, unless more are asked for
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
 MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
@@ -54,6 +56,7 @@ class RunFileError(ValueError):
     """A run file that cannot be read; the message names the file."""
 
 
+@checked
 def collect_run_data(
     system: System[MissionT, FrameT],
     frames: Sequence[FrameT],
@@ -92,6 +95,7 @@ def collect_run_data(
     return RunData(variables, attributes | dict(system.attributes(mission))).seal()
 
 
+@checked
 def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
@@ -133,6 +137,7 @@ def _read_ends(path: Path) -> bytes:
         return first + file.read()
 
 
+@checked
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 
@@ -154,7 +159,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
-    _check_format(file, data)
+    check_format(file, data)
     beside = file.with_name(SUMMARY_FILE)
     found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
     return data, initial_summary(data.attrs) if found is None else found
@@ -170,6 +175,7 @@ def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     return summary
 
 
+@check_methods
 @dataclass(frozen=True, eq=False)
 class RunRecord(Generic[MissionT, FrameT, VariablesT]):
     """A run as recorded, and the mission as drawn again from its scenario."""
@@ -268,7 +274,12 @@ def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
     )
 
 
-def _check_format(file: Path, data: RunData) -> None:
+def check_format(file: Path | str, data: RunData) -> None:
+    """Refuse data that are not those of a run; the file is named in the message.
+
+    Raises:
+        RunFileError: They are of another version, or not of a run.
+    """
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
@@ -288,7 +299,7 @@ def _check_format(file: Path, data: RunData) -> None:
     _raise_if_missing(file, [name for name in needed if name not in data])
 
 
-def _raise_if_missing(file: Path, lacking: list[str]) -> None:
+def _raise_if_missing(file: Path | str, lacking: list[str]) -> None:
     if lacking:
         raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
 

@@ -12,19 +12,20 @@ from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dynamics.doors import checked
 from sato.atomic import replace_atomically, replace_together
 from sato.figures.style import STYLE
 from sato.film import SwarmFilm
-from sato.record import drawn_mark, find_drawn
+from sato.record import MAX_FRAMES, drawn_mark, find_drawn
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
 from sato.scene import SwarmScene
 from sato.systems import load_system
 
-MAX_FRAMES = 300
 FIGURE_FORMATS = (".png", ".pdf")
 
 
+@checked
 def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
     """Draw every figure of a run, by name, of the drawn mission that was flown."""
     with matplotlib.rc_context(STYLE):
@@ -32,6 +33,7 @@ def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
         return {name: draw() for name, draw in figures.items()}
 
 
+@checked
 def write_figures(
     figures: Mapping[str, Figure], directory: Path, pdf: bool = False, digest: object = ""
 ) -> list[Path]:
@@ -56,6 +58,7 @@ def write_figures(
     return [directory / name for name in names]
 
 
+@checked
 def animate(
     scene: SwarmScene,
     directory: Path,

@@ -14,6 +14,9 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError, format_value, join_names
+
 if TYPE_CHECKING:  # slow to import
     import xarray
 
@@ -22,6 +25,7 @@ _NOT_IN_DIGEST = ("digest", "wall_s", "peak_memory_mib")
 _IS_BOOL = {"dtype": "bool"}  # attribute by which xarray finds that bytes are booleans
 
 
+@checked
 class Variable(NamedTuple):
     """Variable of a run; a tuple that xarray takes."""
 
@@ -30,6 +34,7 @@ class Variable(NamedTuple):
     attrs: Mapping[str, Any]
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class RunData:
     """Variables of a run by name, whose arrays cannot be written to, and its attributes."""
@@ -44,7 +49,13 @@ class RunData:
             variable.values.flags.writeable = False
         object.__setattr__(self, "variables", views)
         sizes: dict[str, int] = {}
+        for name, value in self.attrs.items():
+            if not isinstance(value, str | bool | int | float | np.generic | Array):
+                reason = f"must be text, a number or an array, got {format_value(value)}"
+                raise InputError(f"attrs.{name}", reason)
         for name, (dims, values, _) in self.variables.items():
+            if len(dims) != values.ndim:
+                raise InputError(name, f"has {values.ndim} axes, and {len(dims)} dimensions")
             for dim, size in zip(dims, values.shape, strict=True):
                 if sizes.setdefault(dim, size) != size:
                     text = f"{name} has {size} along {dim}, another variable {sizes[dim]}"
@@ -69,6 +80,9 @@ class RunData:
         return name in self.variables
 
     def __getitem__(self, name: str) -> Shaped[Array, "..."]:
+        if name not in self.variables:
+            names = join_names(self.variables, "and")
+            raise InputError("name", f'there is no variable "{name}", only {names}')
         return self.variables[name].values
 
     def seal(self) -> "RunData":

@@ -12,13 +12,15 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 from dynamics.callbacks import CallbackError, is_own, is_strict, strictly
+from dynamics.doors import checked
 from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
@@ -27,6 +29,7 @@ from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
+from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError, format_value
 from sato.scenario.file import Mission, describe_own, from_dict, parse, read
 from sato.scenario.origin import Origin
@@ -48,6 +51,7 @@ Scenario = str | Path | Mission | Mapping[str, Any]
 FrameCallback = Callable[[Any, Any], object]  # of the drawn mission and a frame
 
 
+@checked
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """Mission that was flown: its data, its summary, and the mission itself.
@@ -58,20 +62,16 @@ class Run:
         mission: Not drawn; None where a file names a model, say, of the user's own.
 
     Raises:
-        InputError: The data are no `RunData`.
+        RunFileError: The data are not those of a run.
     """
 
     recorded: RunData
     claimed: Mapping[str, Any]
-    mission: Any | None = None
+    mission: Mission | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a dataset in place of its arrays."""
-        if not isinstance(self.recorded, RunData):
-            got = type(self.recorded).__name__
-            raise InputError(
-                "recorded", f"must be RunData, got {got}; RunData.from_xarray would do"
-            )
+        """Refuse data that are not those of a run."""
+        record.check_format("recorded", self.recorded)
 
     @cached_property
     def data(self) -> "xarray.Dataset":
@@ -140,12 +140,18 @@ class Run:
         digest = self.recorded.attrs.get("digest", "")
         return write_figures(self.figures(), Path(directory), pdf, digest)
 
-    def animate(self, directory: str | Path, **options: Any) -> Path:
-        """Write an animation of the run; options as in `sato.render.animate`."""
+    def animate(
+        self,
+        directory: str | Path,
+        fps: Annotated[int, Gt(0), Le(1000)] = 20,
+        frames: Annotated[int, Gt(0)] = record.MAX_FRAMES,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> Path:
+        """Write an animation of the run, as `sato.render.animate` does."""
         from sato.render import animate
 
         digest = self.recorded.attrs.get("digest", "")
-        return animate(self.scene(), Path(directory), digest, **options)
+        return animate(self.scene(), Path(directory), digest, fps, frames, progress)
 
     def scene(self) -> "SwarmScene":
         """Make the scene of the run, as viewers show it.
@@ -193,16 +199,17 @@ class Run:
         return f"<pre>{escape(repr(self))}</pre>"
 
 
+@checked
 def run(
     scenario: Scenario,
     *,
-    seed: int = 0,
+    seed: Seed = 0,
     overrides: Iterable[Setting] | Mapping[str, Any] = (),
     progress: bool | FrameCallback | None = None,
     strict: bool = False,
     processes: Literal["lock-step", "free-running"] | None = None,
-    port: int | None = None,
-    speed: float = 1.0,
+    port: Annotated[int, Gt(0), Lt(2**16)] | None = None,
+    speed: Annotated[float, Ge(1e-3), Le(1e3)] = 1.0,
 ) -> Run:
     """Fly a mission and check the run.
 
@@ -262,7 +269,10 @@ def run(
         return _check_flown(Run(data, record.initial_summary(data.attrs), mission))
 
 
-def simulate(scenario: Scenario, seed: int = 0, overrides: Any = ()) -> Iterator[Frame]:
+@checked
+def simulate(
+    scenario: Scenario, seed: Seed = 0, overrides: Iterable[Setting] | Mapping[str, Any] = ()
+) -> Iterator[Frame]:
     """Fly a mission and yield its frames one by one.
 
     Args:
@@ -280,6 +290,7 @@ def simulate(scenario: Scenario, seed: int = 0, overrides: Any = ()) -> Iterator
     return iter(limited(lambda: next(frames, None)), None)
 
 
+@checked
 def load(path: str | Path, mission: Mission | None = None) -> Run:
     """Load a run from its folder, or from the run file itself.
 
@@ -308,18 +319,14 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
 
 
 def _draw(
-    scenario: object, seed: Any, overrides: tuple[Setting, ...]
+    scenario: Scenario, seed: Any, overrides: tuple[Setting, ...]
 ) -> tuple[Any, Any, Generator]:
-    is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not is_integer or not 0 <= seed < 2**64:
+    if not 0 <= seed < 2**64:
         raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
     if isinstance(scenario, str | Path):
         mission = read(scenario, overrides)
     elif isinstance(scenario, Mapping):
         mission = from_dict(dict(scenario), overrides)
-    elif not isinstance(scenario, Mission):
-        got = f"an object of type {type(scenario).__name__}"
-        raise InputError("scenario", f"must be a name, a path, a mission or a dict, got {got}")
     elif overrides:
         raise InputError("overrides", "cannot change a mission; dataclasses.replace can")
     else:

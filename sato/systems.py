@@ -41,6 +41,7 @@ def definition_of(name: object) -> Any:
 def _load(name: object, part: int) -> Any:
     if not isinstance(name, str) or name not in SYSTEMS:
         known = join_names((f'"{known}"' for known in SYSTEMS), "and")
-        fault = f"there is no system {format_value(name)}" if name else "is missing"
+        is_empty = isinstance(name, str) and not name
+        fault = "is missing" if is_empty else f"there is no system {format_value(name)}"
         raise InputError("system", f"{fault}; {known} would do")
     return resolve_name(SYSTEMS[name][part])

@@ -40,6 +40,8 @@ import numpy as np
 from numpy import ndarray as Array
 from numpy.random import Generator
 
+from sato.scenario.definition import Definition, fields_of
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("dynamics", "problems", "sato")
 LIMIT_S = 20
@@ -332,7 +334,8 @@ def judge(
     except BaseException as error:
         if any(_is_callback(example.arguments[n], change) for n, change in changes.items()):
             return "", ""  # the function is the caller's own
-        return _judge_error(error, list(example.arguments))
+        keys = [key for name in example.arguments for key in _keys(example, name)]
+        return _judge_error(error, keys)
     valid = example.call()
     is_equal = are_equal(found, valid)
     for name, change in changes.items():
@@ -366,6 +369,14 @@ def judge(
 
 def _is_callback(valid: Any, change: Change) -> bool:
     return callable(valid) and callable(change.value)
+
+
+def _keys(example: Example, name: str) -> list[str]:
+    """List the names of an argument: its own, and the key of a file that it is the value of."""
+    function: Any = example.function
+    is_definition = inspect.isclass(function) and issubclass(function, Definition)
+    keys = [f.key for f in fields_of(function) if f.name == name] if is_definition else []
+    return [name, *keys]
 
 
 def _must_be_refused(example: Example, name: str, change: Change) -> bool:

@@ -143,7 +143,7 @@ def test_invalid_graph_is_refused():
         CommunicationGraph(np.diag([False, True]), np.full(2, True))
     with pytest.raises(ValueError, match="agent 1 is not alive but has neighbors"):
         CommunicationGraph(one_way | one_way.T, np.array([True, False]))
-    with pytest.raises(ValueError, match="must be positive, got -1"):
+    with pytest.raises(ValueError, match="radius: must be a number above 0, got -1"):
         CommunicationGraph.from_positions(np.zeros((2, 2)), -1.0, np.full(2, True))
 
 

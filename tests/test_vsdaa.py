@@ -302,15 +302,15 @@ def test_dead_agents_need_no_costs(rng):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"cost": np.array([[0.0, np.inf], [0, 0]])}, "cost of target 1 for agent 0 is inf"),
+        ({"cost": np.array([[0.0, np.inf], [0, 0]])}, r"cost: must be .* with inf at \[0, 1\]"),
         (
             {"cost": np.zeros((3, 2)), "target_count": np.array([1, 1, 1])},
-            "costs for 3 agents, a graph of 2, m of 3: there must be a row",
+            "graph.agents: must be 3 as of the others, got 2",
         ),
         ({"target_count": np.array([1, 3])}, "agent 1 bids on 3 targets: must be from 1 to the 2"),
         ({"target_count": np.array([0, 1])}, "agent 0 bids on 0 targets"),
         ({"epsilon": 0.0}, "the bid increment is 0.0"),
-        ({"epsilon": float("nan")}, "the bid increment is nan"),
+        ({"epsilon": float("nan")}, "epsilon: must be a finite number, got nan"),
         ({"cost": np.full((2, 2), 1e15)}, "the bid increment is 0.1: it must be"),
     ],
 )

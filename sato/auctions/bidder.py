@@ -4,15 +4,20 @@ The definitions of both auctions, as a vehicle runs them. `vsdaa` and `cbaa` com
 for all agents of a simulation at once, which tests compare round by round.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+from dynamics.inputs import InputError
 from sato.auctions.vsdaa import ANONYMOUS, FIRST_SLACK, NO_WINNER, OutOfTargets
 
 
+@checked
 class WinningBids(NamedTuple):
     """Price and winner of each target as far as one agent knows: its message to its neighbors.
 
@@ -23,8 +28,13 @@ class WinningBids(NamedTuple):
     price: Float[Array, " targets"]
     winner: Int[Array, " targets"]
 
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"targets": len(self.price)}
+
     @classmethod
-    def empty(cls, targets: int) -> "WinningBids":
+    def empty(cls, targets: Annotated[int, Gt(0)]) -> "WinningBids":
         """Make a table without bids."""
         return cls(np.zeros(targets), np.full(targets, NO_WINNER))
 
@@ -34,6 +44,7 @@ class WinningBids(NamedTuple):
         return int(np.count_nonzero(self.winner != NO_WINNER))
 
 
+@checked
 def find_newer_bids(own: WinningBids, received: WinningBids) -> Bool[Array, " targets"]:
     """Mark the targets of which `received` knows more.
 
@@ -46,6 +57,7 @@ def find_newer_bids(own: WinningBids, received: WinningBids) -> Bool[Array, " ta
     return np.asarray((received_size > own_size) | is_tie)
 
 
+@checked
 def merge_bids(own: WinningBids, *received: WinningBids) -> WinningBids:
     """Keep the newest entry for each target.
 
@@ -58,28 +70,34 @@ def merge_bids(own: WinningBids, *received: WinningBids) -> WinningBids:
     return own
 
 
+@checked
 class VsdaaBidder(NamedTuple):
     """Memory of one agent in VSDAA [Morgan2016, Method 1]."""
 
-    agent_id: int
+    agent_id: Annotated[int, Ge(0)]
     cost: Float[Array, " targets"]
-    epsilon: float
+    epsilon: Annotated[float, Gt(0)]
     bidder_ids: bool  # True where bids carry the bidder's number
-    patience: int  # rounds without news after which it stops: 2 D
-    target_count: int  # m
+    patience: Annotated[int, Ge(0)]  # rounds without news after which it stops: 2 D
+    target_count: Annotated[int, Gt(0)]  # m
     bids: WinningBids  # its last message
-    target_index: int = -1  # j, the target of its last bid
-    quiet_rounds: int = 0  # rounds without news
-    round: int = 0
-    bid_count: int = 0
-    first_target: int = -1  # of the opening; −1 none
+    target_index: Annotated[int, Ge(-1)] = -1  # j, the target of its last bid
+    quiet_rounds: Annotated[int, Ge(0)] = 0  # rounds without news
+    round: Annotated[int, Ge(0)] = 0
+    bid_count: Annotated[int, Ge(0)] = 0
+    first_target: Annotated[int, Ge(-1)] = -1  # of the opening; −1 none
+
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"targets": len(self.cost)}
 
     @property
     def is_finished(self) -> bool:
         """True once it has bid and then heard nothing new for long enough."""
         return self.target_index >= 0 and self.quiet_rounds >= self.patience
 
-    def update(self, inbox: list[WinningBids]) -> "VsdaaBidder":
+    def update(self, inbox: Sequence[WinningBids]) -> "VsdaaBidder":
         """Merge the messages (lines 27-29) and bid where the agent holds no target (8-25).
 
         The printed loop listens at the end of a round, here the agent does so at the start of
@@ -92,6 +110,8 @@ class VsdaaBidder(NamedTuple):
         Raises:
             OutOfTargets: All targets are taken.
         """
+        limits = {"target_index": self.target_index, "first_target": self.first_target}
+        _check_below(len(self.cost), **limits, target_count=self.target_count - 1)
         bids, j = merge_bids(self.bids, *inbox), self.target_index
         agent = self._replace(round=self.round + 1)
         if self.bidder_ids:
@@ -132,22 +152,29 @@ class VsdaaBidder(NamedTuple):
         )
 
 
+@checked
 class CbaaBidder(NamedTuple):
     """Memory of one agent in CBAA [Lusk2020, sec. IV-B]."""
 
-    agent_id: int
-    score: Float[Array, " points"]
-    agent_count: int
+    agent_id: Annotated[int, Ge(0)]
+    score: Float[Array, " targets"]  # of each point
+    agent_count: Annotated[int, Gt(0)]
     bids: WinningBids  # its last message
-    point: int = -1  # of its last bid
+    point: Annotated[int, Ge(-1)] = -1  # of its last bid
+
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"targets": len(self.score)}
 
     @property
     def is_finished(self) -> bool:
         """True once every agent has a point."""
         return self.bids.winner_count == self.agent_count
 
-    def update(self, inbox: list[WinningBids]) -> "CbaaBidder":
+    def update(self, inbox: Sequence[WinningBids]) -> "CbaaBidder":
         """Merge the messages, and bid where the agent holds no point."""
+        _check_below(len(self.score), point=self.point, agent_count=self.agent_count - 1)
         bids, point = merge_bids(self.bids, *inbox), self.point
         if point < 0 or bids.winner[point] != self.agent_id:
             own = WinningBids(self.score, np.full_like(bids.winner, self.agent_id))
@@ -156,3 +183,9 @@ class CbaaBidder(NamedTuple):
             price[point], winner[point] = self.score[point], self.agent_id
             bids = WinningBids(price, winner)
         return self._replace(bids=bids, point=point)
+
+
+def _check_below(count: int, **limited: int) -> None:
+    for name, index in limited.items():
+        if index >= count:
+            raise InputError(name, f"is beyond the {count} targets")

@@ -32,13 +32,16 @@ with those of `CbaaBidder`, one agent with its memory and inbox.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numpy as np
+from annotated_types import Ge, Gt, Lt
 from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
+from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.inputs import InputError
 from sato.auctions.vsdaa import NO_WINNER
 from sato.network.graph import CommunicationGraph
 
@@ -46,6 +49,7 @@ UNLIMITED_ROUNDS = 2**62  # rounds
 NO_OUTAGES = np.zeros((0, 0, 0), dtype=np.bool_)
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CbaaAuction:
     """Assignment of a point to every agent by messages between neighbors [Lusk2020, sec. IV-B].
@@ -67,11 +71,13 @@ class CbaaAuction:
             connected, or messages can be lost and `rounds` or `rng` is missing.
     """
 
-    score: Float[Array, "agents points"]  # value of each point to each agent
+    score: Annotated[Float[Array, "agents points"], MAY_BE_NAN]  # value of each point to each agent
     graph: CommunicationGraph  # while the auction lasts
-    rounds: int | None = None  # largest number of rounds; None: until all agents know the end
-    loss: float = 0.0  # probability that a message is lost
-    delay: int = 0  # rounds by which each message comes later than in the next round
+    # Largest number of rounds; None: until all agents know the end.
+    rounds: Annotated[int, Gt(0)] | None = None
+    loss: Annotated[float, Ge(0), Lt(1)] = 0.0  # probability that a message is lost
+    # Rounds by which each message comes later than in the next round.
+    delay: Annotated[int, Ge(0), Lt(10_000)] = 0
     rng: np.random.Generator | None = None  # draws the lost messages
     # True for pairs between which messages are lost that would arrive in a round.
     outages: Bool[Array, "rounds agents agents"] | None = None
@@ -97,6 +103,9 @@ class CbaaAuction:
         if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
             text = "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
             raise ValueError(f"{text}, got {loss}, {self.delay} and {rounds}")
+        if self.outages is not None and rounds is not None and len(self.outages) < rounds:
+            text = f"must be given for all {rounds} rounds, got {len(self.outages)}"
+            raise InputError("outages", text)
         is_lossy = loss > 0 or self.outages is not None
         if is_lossy and (self.rng is None or rounds is None):
             text = "give the number of rounds after which all stop, and the generator rng"
@@ -128,6 +137,7 @@ class CbaaResult:
         return bool(same and np.all(winner[np.arange(len(live)), self.point[live]] == live))
 
 
+@checked
 def run_cbaa(auction: CbaaAuction) -> CbaaResult:
     """Run the auction."""
     state = init_state(auction.score, auction.graph, auction.delay)

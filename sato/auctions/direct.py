@@ -2,15 +2,18 @@
 
 import numpy as np
 
+from dynamics.doors import checked
 from problems.assignment import solve_assignment
 from sato.auctions.vsdaa import OutOfTargets, VsdaaAuction, VsdaaResult
 
 
+@checked
 def assign_given(auction: VsdaaAuction) -> VsdaaResult:
     """Assign to each live agent the target of its own number."""
     return _result(auction, np.arange(len(auction.cost)), auction.target_count)
 
 
+@checked
 def assign_centrally(auction: VsdaaAuction) -> VsdaaResult:
     """Assign the optimum over the first max(N, m) targets in each component.
 

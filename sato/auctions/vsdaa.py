@@ -19,13 +19,15 @@ the rounds with those of `VsdaaBidder`, one agent with its memory and inbox.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import Annotated, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
 
+from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.inputs import InputError
 from sato.network.graph import FAR, CommunicationGraph
 
 NO_WINNER = -1  # winner of a target without a standing bid
@@ -48,7 +50,8 @@ class OutOfTargets(RuntimeError):
         self.agent, self.round, self.targets = agent, round, targets
 
 
-@dataclass(frozen=True, eq=False)
+@checked
+@dataclass(frozen=True, eq=False, init=False)
 class VsdaaAuction:
     """Assignment of a target to every agent by messages between neighbors [Morgan2016, Method 1].
 
@@ -56,6 +59,14 @@ class VsdaaAuction:
     max(N, m) targets, where m is the largest `target_count` of its agents. Components know
     nothing of each other, so two of them may choose the same target. Without `bidder_ids` it is
     the printed method, which may assign one target to two agents.
+
+    Args:
+        cost: Cost of each target for each agent.
+        graph: Communication graph, or its adjacency matrix; complete if None.
+        target_count: Number of targets that each agent would bid on, or one for all.
+        epsilon: Bid increment.
+        bidder_ids: Bids carry the bidder's number.
+        opening: Prices at the beginning, if there are any.
 
     Raises:
         ValueError: The shapes do not match, a cost is not finite, m is not in 1 … M, or ε is
@@ -69,7 +80,27 @@ class VsdaaAuction:
     bidder_ids: bool = True  # True where bids carry the bidder's number, which breaks ties
     opening: "Opening | None" = None  # None: without prices
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        cost: Annotated[Float[Array, "agents targets"], MAY_BE_NAN],
+        graph: CommunicationGraph | Bool[Array, "agents agents"] | None,
+        target_count: Int[Array, " agents"] | int,
+        epsilon: float,
+        bidder_ids: bool = True,
+        opening: "Opening | None" = None,
+    ) -> None:
+        agents = len(cost)
+        if not isinstance(graph, CommunicationGraph):
+            hears = ~np.eye(agents, dtype=bool) if graph is None else graph
+            graph = CommunicationGraph(hears, np.ones(agents, dtype=bool))
+        count = np.full(agents, target_count) if isinstance(target_count, int) else target_count
+        names = "cost", "graph", "target_count", "epsilon", "bidder_ids", "opening"
+        values = cost, graph, count, epsilon, bidder_ids, opening
+        for name, value in zip(names, values, strict=True):
+            object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
         """Refuse an auction that cannot end."""
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
@@ -90,6 +121,11 @@ class VsdaaAuction:
                 f"agent {wrong[0]} bids on {target_count[wrong[0]]} targets: "
                 f"must be from 1 to the {targets} that are defined"
             )
+        if self.opening is not None:
+            price, first = self.opening
+            if price.max(initial=0.0) > 0 or not ((first >= -1) & (first < targets)).all():
+                text = f"must have prices of at most 0, and targets from -1 to {targets - 1}"
+                raise InputError("opening", text)
         # Prices may climb to agents × the largest cost, and each bid must still be seen there.
         least = 4 * float(np.spacing(agents * np.abs(cost[alive]).max(initial=1e-300)))
         if not least < self.epsilon < np.inf:
@@ -99,11 +135,17 @@ class VsdaaAuction:
             )
 
 
+@checked
 class Opening(NamedTuple):
     """Beginning of an auction: what each agent knows without a bid."""
 
     price: Float[Array, "agents targets"]  # of targets that are for sale, at most 0
     target_index: Int[Array, " agents"]  # first bid, see `FIRST_SLACK`; −1 none
+
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return dict(zip(("agents", "targets"), self.price.shape, strict=True))
 
     @classmethod
     def empty(cls, agents: int, targets: int) -> "Opening":
@@ -131,6 +173,7 @@ class VsdaaResult(NamedTuple):
     entry_count: Int[Array, " agents"]  # prices that have changed, over all of these
 
 
+@checked
 def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
     """Run the auction with the compiled rounds.
 

@@ -5,16 +5,18 @@ import os
 import sqlite3
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+from dynamics.doors import checked
 from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
+from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
 
 MOST_RUNS = 10**6
@@ -24,20 +26,26 @@ LOCK_FILE = "campaign.lock"
 Progress = Callable[[Counter[str], int], object]
 
 
+@checked
 def campaign(
     scenario: Any = (),
     *,
     function: Any = "",
     out: str | Path,
-    trials: int = 1,
-    seed: int = 0,
-    grid: Mapping[str, Sequence[Any]] | None = None,
+    trials: Amount = 1,
+    seed: Count = 0,
+    grid: Mapping[str, Any] | None = None,
     draw: Mapping[str, Any] | None = None,
     case: Mapping[str, Mapping[str, Any]] | None = None,
     columns: Any = "",
-    time_limit: float | None = None,
+    time_limit: Annotated[float, Positive] | None = None,
     keep: Literal["failures", "all", "none"] = "none",
-    **options: Any,
+    resume: bool = False,
+    workers: Amount | None = None,
+    scheduler: str | None = None,
+    allow_version: bool = False,
+    allow_many: bool = False,
+    progress: Progress = lambda exits, runs: None,
 ) -> CampaignTable:
     """Fly many runs into one table.
 
@@ -58,8 +66,12 @@ def campaign(
         columns: Function of a run that returns a dict of more columns.
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
-        options: `resume`, `workers`, `scheduler`, `allow_version`, `allow_many` and `progress`, as
-            in `fly_campaign`.
+        resume: Go on with a table, and so the next five, as in `fly_campaign`.
+        workers: Number of processes.
+        scheduler: Address of a Dask scheduler.
+        allow_version: Resume with another version.
+        allow_many: Allow more than a million runs.
+        progress: Function called with the rows that there are.
 
     Returns:
         The table, opened to read: `rows()`, `exits()`, `to_pandas()`, `to_xarray()`.
@@ -82,7 +94,16 @@ def campaign(
         time_limit=time_limit,
         keep=keep,
     )
-    fly_campaign(defined, Path(out), **options)
+    fly_campaign(
+        defined,
+        Path(out),
+        resume=resume,
+        workers=workers,
+        scheduler=scheduler,
+        allow_version=allow_version,
+        allow_many=allow_many,
+        progress=progress,
+    )
     return CampaignTable(Path(out))
 
 

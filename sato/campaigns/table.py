@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
@@ -281,6 +282,7 @@ class CampaignTable:
         return cursor
 
 
+@checked
 def open_table(folder: str | Path) -> CampaignTable:
     """Open the table of a campaign to read it, also while the campaign runs.
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
+from dynamics.doors import checked
 from sato.scenario.errors import join_names
 from sato.summary import format_value
 
@@ -42,6 +43,7 @@ class Promise(NamedTuple):
         return ", ".join(filter(None, [self.message, " ".join(where)]))
 
 
+@checked
 def expect_none(name: str, violations: ArrayLike, text: str, time: Times = None) -> Promise:
     """Promise that there are no violations, described in the plural.
 
@@ -53,6 +55,7 @@ def expect_none(name: str, violations: ArrayLike, text: str, time: Times = None)
     return _locate(promise, np.not_equal(violations, 0), time) if count else promise
 
 
+@checked
 def expect_small_error(
     name: str, errors: ArrayLike, tolerance: float, text: str, time: Times = None
 ) -> Promise:
@@ -63,6 +66,7 @@ def expect_small_error(
     return _locate(Promise(name, is_kept, worst, tolerance, message), errors, time)
 
 
+@checked
 def expect_below(
     name: str, values: ArrayLike, limit: ArrayLike, relative: float, text: str, time: Times = None
 ) -> Promise:
@@ -80,6 +84,7 @@ def expect_below(
     return _locate(Promise(name, is_kept, value, least, text), shares, time)
 
 
+@checked
 def expect_apart(
     distance: float, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
     name: str = "separation", unit: str = "m", text: str = "",
@@ -107,6 +112,7 @@ def _locate(promise: Promise, values: ArrayLike, time: Times) -> Promise:
     return promise._replace(agents=agents, time=float(time[place[0]]))
 
 
+@checked
 @dataclass(frozen=True)
 class Report:
     """Promises of a run, and the summary that was recomputed with them.

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
 from problems.interaction_graph import (
     Numbers,
@@ -163,6 +164,7 @@ def compute_commands(known: Knowledge, mission: Connectivity) -> Float[Array, "n
     return np.concatenate([velocity, yaw_rate], axis=1)
 
 
+@checked
 def evaluate_potential(lambda2: Numbers, potential: Potential) -> Numbers:
     """Compute V = k (m − x)² / x with x = λ₂ − λ₂^min and m = λ₂^max − λ₂^min; 0 beyond."""
     m = potential.lambda2_max - potential.lambda2_min
@@ -170,6 +172,7 @@ def evaluate_potential(lambda2: Numbers, potential: Potential) -> Numbers:
     return np.where(x < m, potential.strength * (m - x) ** 2 / x, 0.0)[()]
 
 
+@checked
 def negative_slope(lambda2: Numbers, potential: Potential) -> Numbers:
     """Compute −V′(λ₂) = k (m²/x² − 1), which is 0 at λ₂^max, as V is, and for NaN."""
     m = potential.lambda2_max - potential.lambda2_min

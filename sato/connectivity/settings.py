@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal, NamedTuple
 
+from dynamics.doors import checked
 from dynamics.units import AngularRate, Key, Length, Speed, Time
 from sato.scenario.definition import LATER, NotNegative, Positive
 
@@ -9,6 +10,7 @@ MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
 MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
 
 
+@checked
 class Potential(NamedTuple):
     """Potential V of λ₂ alone [Bernard2023, Fig. 2], or the sum of V(λ_k) over k ≥ 2."""
 
@@ -21,6 +23,7 @@ class Potential(NamedTuple):
     ] = LATER
 
 
+@checked
 class Repulsion(NamedTuple):
     """Repulsion of a point that the range sensor measures [Bernard2023, Sec. III-D]."""
 
@@ -33,6 +36,7 @@ class Repulsion(NamedTuple):
     strength: Annotated[float, NotNegative, "gain of repulsion [1/s]"] = 0.5
 
 
+@checked
 class YawTracking(NamedTuple):
     """Gains and speeds of the estimator."""
 
@@ -53,6 +57,7 @@ class YawTracking(NamedTuple):
     ] = False
 
 
+@checked
 class CommandLimits(NamedTuple):
     """Limits of what a robot commands, beside the operator's command to the leader."""
 
@@ -63,6 +68,7 @@ class CommandLimits(NamedTuple):
 Gain = Annotated[float, Positive]
 
 
+@checked
 class PowerIterationGains(NamedTuple):
     """Gains of the iteration and its consensus; those that are None fit the other numbers."""
 

@@ -17,6 +17,7 @@ from problems.gain_matrix import GainMatrix
 from sato.formation.gains import AnyGains, DesignedGains, GainsFile, as_gains
 from sato.formation.start import check_drawn_separation, check_separation, place_level
 from sato.scenario.definition import (
+    Amount,
     Convert,
     Coordinates,
     Definition,
@@ -108,7 +109,7 @@ class EdgeList(Definition):
         """List the edges of a graph."""
         return cls(np.argwhere(np.triu(graph)))
 
-    def adjacency(self, count: int) -> Bool[Array, "n n"]:
+    def adjacency(self, count: Amount) -> Bool[Array, "n n"]:
         """Return the adjacency matrix for this number of points.
 
         Raises:
@@ -184,7 +185,9 @@ class FormationLeg(Definition):
         gains = self.gains.read(self.desired) if isinstance(self.gains, GainsFile) else self.gains
         return gains.build(self.desired)
 
-    def draw(self, agents: int, keep_out: float, rng: Generator) -> "FormationLeg":
+    def draw(
+        self, agents: Amount, keep_out: Annotated[float, NotNegative], rng: Generator
+    ) -> "FormationLeg":
         """Return the leg with points, edges and gains; points are drawn first, then edges.
 
         Args:
@@ -211,7 +214,7 @@ class FormationLeg(Definition):
         _ = drawn.gain_matrix  # designed here, so that a formation without gains is refused
         return drawn
 
-    def without_files(self, agents: int) -> "FormationLeg":
+    def without_files(self, agents: Amount) -> "FormationLeg":
         """Return the same leg with the contents of files and fonts."""
         formation, graph, gains, name = self.formation, self.graph, self.gains, self.name
         if isinstance(formation, FormationFile):

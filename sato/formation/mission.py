@@ -10,6 +10,7 @@ from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.units import Acceleration, Length, Speed, Time
 from sato.formation import feasibility
 from sato.formation.leg import FormationLeg
@@ -175,6 +176,7 @@ class Formation(Mission):
         return self.steps_per_frame * self.step
 
 
+@checked
 def legacy_formation(start: Any, legs: Sequence[FormationLeg], **changed: Any) -> Formation:
     """Return the flight as [Lusk2020]'s code has it, so that its tables can be reproduced.
 

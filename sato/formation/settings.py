@@ -9,6 +9,7 @@ from jaxtyping import Complex, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
 
+from dynamics.doors import checked
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
 from sato.scenario.definition import (
     TURNS,
@@ -24,6 +25,7 @@ from sato.scenario.errors import InputError
 BLOCKED_SPEED_SHARE = 0.2  # of the largest speed: slower than this an agent counts as stopped
 
 
+@checked
 class ControlLaw(NamedTuple):
     """Numbers of the control law [Lusk2020, eq. 2, and Sec. III-C for the size]."""
 
@@ -32,6 +34,7 @@ class ControlLaw(NamedTuple):
     upright: Annotated[bool, "heights as in the formation; else its mirror image will do"] = True
 
 
+@checked
 class CollisionAvoidance(NamedTuple):
     """Numbers of the collision avoidance; the legacy one uses its range alone."""
 
@@ -52,6 +55,7 @@ class CollisionAvoidance(NamedTuple):
     unwrapped_angles: Annotated[bool, "with legacy_avoidance: angles do not wrap"] = False
 
 
+@checked
 class AssignmentSettings(NamedTuple):
     """Assignment of points to agents, and when it is repeated."""
 
@@ -65,6 +69,7 @@ class AssignmentSettings(NamedTuple):
     ] = 0.04
 
 
+@checked
 class SupervisorSettings(NamedTuple):
     """Criteria of convergence and gridlock, as in the trials of [Lusk2020]."""
 

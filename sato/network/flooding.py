@@ -7,9 +7,12 @@ knows, so that each travels one hop a round.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from dynamics.doors import checked
+
 Reports = frozenset[Any]  # at most one of each agent
 
 
+@checked
 class CensusMessage(NamedTuple):
     """Message of an agent that measures its component."""
 
@@ -17,6 +20,7 @@ class CensusMessage(NamedTuple):
     max_eccentricity: int = -1  # largest eccentricity heard of; −1 for none
 
 
+@checked
 class Census(NamedTuple):
     """Memory of an agent that measures its component: members, reports and diameter."""
 
@@ -63,6 +67,7 @@ def census_rounds(diameter: Any) -> Any:
     return 3 * diameter + 1
 
 
+@checked
 class Flood(NamedTuple):
     """Memory of an agent that hears one report of every agent of its component.
 

@@ -2,19 +2,24 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import no_type_check
+from typing import Annotated, no_type_check
 
 import numpy as np
 import scipy
+from annotated_types import Gt
 from jaxtyping import Bool, Float, Int
 from numba import njit
 from numpy import ndarray as Array
+
+from dynamics.doors import MAY_BE_INFINITE, MAY_BE_NAN, checked
+from dynamics.inputs import InputError
 
 ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 FAR = 2**30  # hops between two components
 WORD = 64  # bits
 
 
+@checked
 @dataclass(frozen=True, eq=False)
 class CommunicationGraph:
     """Undirected graph of the agents that exchange messages.
@@ -43,9 +48,17 @@ class CommunicationGraph:
         if is_lost.any():
             raise ValueError(f"agent {i[is_lost][0]} is not alive but has neighbors")
 
+    @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"agents": len(self.alive)}
+
     @classmethod
     def from_positions(
-        cls, position: Float[Array, "agents d"], radius: float, alive: Bool[Array, " agents"]
+        cls,
+        position: Annotated[Float[Array, "agents d"], MAY_BE_NAN],
+        radius: Annotated[float, Gt(0), MAY_BE_INFINITE],
+        alive: Bool[Array, " agents"],
     ) -> "CommunicationGraph":
         """Connect all live agents that are at most `radius` apart.
 
@@ -105,9 +118,12 @@ class CommunicationGraph:
         return i[i < j], j[i < j]
 
     def pairs_among(
-        self, agents: Int[Array, " some"] | list[int]
+        self, agents: Int[Array, " some"]
     ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
         """Return the pairs of neighbors among some agents, by their places in the list."""
+        most = len(self.alive) - 1
+        if len(agents) and not 0 <= np.min(agents) <= np.max(agents) <= most:
+            raise InputError("agents", f"must be from 0 to {most}, got {np.unique(agents)}")
         place = np.full(len(self.alive), -1)
         place[agents] = np.arange(len(agents))
         i, j = (place[each] for each in self.pairs)

@@ -26,7 +26,7 @@ from typing import Annotated
 from annotated_types import Lt
 
 from dynamics.units import Time, Unit
-from sato.scenario.definition import Definition, Key, NotNegative, Positive
+from sato.scenario.definition import Count, Definition, Key, NotNegative, Positive
 
 WORD_BITS = 32  # bits of a coordinate, a price, a winner, the number of an auction and of a round
 
@@ -49,7 +49,7 @@ class Radio(Definition):
         """Delay of a message in rounds of an auction, rounded up."""
         return ceil(self.delay * self.message_rate - 1e-9)  # 0.14 · 50 is 7.000000000000001
 
-    def rounds_within(self, time: float) -> int:
+    def rounds_within(self, time: Annotated[float, NotNegative]) -> int:
         """Count the whole rounds of an auction in a time [s]."""
         return int(time * self.message_rate + 1e-9)
 
@@ -58,7 +58,7 @@ class Radio(Definition):
         """Rate of the position of a neighbor: three coordinates and a number [bit/s]."""
         return (3 * WORD_BITS + self.id_bits) * self.message_rate
 
-    def count_auction_bits(self, vehicles: int, rounds: int) -> int:
+    def count_auction_bits(self, vehicles: Count, rounds: Count) -> int:
         """Count the bits that an auction takes from one neighbor.
 
         A message holds the numbers of the auction and of the round, and the price and the winner

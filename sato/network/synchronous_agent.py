@@ -16,6 +16,9 @@ same until it goes on, and acts once, on all packets that have arrived, of whate
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
+from dynamics.doors import checked
+from sato.scenario.definition import Count
+
 
 class Stage(Protocol):
     """Memory of an agent in synchronous rounds."""
@@ -32,12 +35,13 @@ class Stage(Protocol):
         """Act in a round, on the messages of all neighbors."""
 
 
+@checked
 class Packet(NamedTuple):
     """All that an agent sends in a round of the network."""
 
-    sender: int
-    instant: int  # at which what is decided began
-    round: int  # last synchronous round in which the sender has acted; 0 before the first
+    sender: Count
+    instant: Count  # at which what is decided began
+    round: Count  # last synchronous round in which the sender has acted; 0 before the first
     contents: tuple[Any, ...]  # message of that round, and of the one before
 
 

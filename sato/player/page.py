@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.player.encode import encode_scene
 from sato.record import drawn_mark
@@ -18,6 +19,7 @@ SCRIPTS = ("data.js", "scene.js", "controls.js", "player.js")
 DEFAULT_NAME = "player.html"  # in the folder of a run
 
 
+@checked
 def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -> Path:
     """Write a run as one HTML file, which plays it in a browser without a network.
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
+from dynamics.doors import checked
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
@@ -22,6 +23,7 @@ from sato.reconfiguration.agent_inputs import (
     as_state,
     check_agent,
     check_inbox,
+    check_seen,
     checksum,
     list_doubts,
     select_messages,
@@ -39,8 +41,11 @@ from sato.reconfiguration.state import DecisionContext, Event, begin_memory, upd
 from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
+from sato.scenario.definition import Amount
+from sato.scenario.errors import InputError, format_value
 
 
+@checked
 class Agent:
     """One vehicle of a reconfiguration: it reads its own memory and its inbox alone.
 
@@ -86,12 +91,12 @@ class Agent:
         self,
         mission: Reconfiguration,
         number: int,
-        target_count: int | None = None,
+        target_count: Amount | None = None,
         leg_start: float | None = None,
         leg: Leg | None = None,
         commitment: Commitment | None = None,
     ) -> None:
-        check_agent(mission, number, target_count, leg, commitment)
+        check_agent(mission, number)
         if not is_drawn(mission):
             mission = mission.draw(np.random.default_rng(0))
         believed, start = target_count or mission.target_count or mission.agent_count, None
@@ -116,7 +121,7 @@ class Agent:
         self,
         time: float,
         state: ArrayLike,
-        inbox: Sequence[AgentMessage] | Sequence[AgentPacket],
+        inbox: Sequence[AgentMessage | AgentPacket],
         seen: Sequence[Sensed] = (),
     ) -> tuple[Float[Array, " d"], AgentMessage | AgentPacket | None]:
         """Act in one round of messages.
@@ -146,7 +151,8 @@ class Agent:
         received = check_inbox(self.number, inbox, self.mission.link.is_ideal)
         before = self.memory.under_way
         if instant != self.memory.instant:
-            self.memory = self._begin_instant(instant, as_state(self.mission, state), seen)
+            things = check_seen(self.mission, seen)
+            self.memory = self._begin_instant(instant, as_state(self.mission, state), things)
         elif self.mission.link.is_ideal:
             self.memory = self._hear(received)
         if before is not None and self.memory.under_way is before:
@@ -157,7 +163,7 @@ class Agent:
     def set_targets(
         self,
         targets: Any,
-        steps: int,
+        steps: Amount,
         *,
         count: int | None = None,
         recount: bool = False,
@@ -181,7 +187,11 @@ class Agent:
         flown, later = self.memory, bool(self.mission.lag_steps)
         if not later:
             self._require_finished()
-        leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
+        try:
+            leg = Leg(targets, steps, count=count, recount=recount, choose=choose)
+        except InputError as error:
+            names = {"shape": "targets", "targets": "count"}
+            raise InputError(names.get(error.key, error.key), error.reason) from error
         begun = self._begin_leg(leg, 0 if flown.instant is None else flown.instant + 1)
         is_under_way = later and flown.instant is not None
         self.memory = flown._replace(next_leg=leg) if is_under_way else begun
@@ -206,6 +216,17 @@ class Agent:
                 f"with an entry for each number, {self.number + 1} or more, would do"
             )
         return with_targets(leg, np.tile(leg.targets, (self.number + 1, 1)))
+
+    @property
+    def memory(self) -> FlightMemory:
+        """Memory between two calls, which may be kept and given back."""
+        return self._memory
+
+    @memory.setter
+    def memory(self, memory: FlightMemory) -> None:
+        if not isinstance(memory, FlightMemory):
+            raise InputError("memory", f"must be that of an agent, got {format_value(memory)}")
+        self._memory = memory
 
     @property
     def is_finished(self) -> bool:

@@ -4,20 +4,23 @@ from collections.abc import Sequence
 from functools import lru_cache
 from math import ceil, floor, inf
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
+from sato.obstacles import Obstacle
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.stopping import Commitment
-from sato.scenario.definition import as_array
-from sato.scenario.errors import InputError
+from sato.reconfiguration.surroundings import Sensed
+from sato.scenario.definition import Count, as_array
+from sato.scenario.errors import InputError, format_value
 
 INSTANT_PRECISION = 1e-6  # of a control step, for times that are sums of steps
 MAX_OFF = 0.25  # of a control step, by which a call may be early or late
@@ -27,15 +30,17 @@ SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
 
 
+@checked
 class AgentMessage(NamedTuple):
     """Message of an agent to all neighbors within hearing, a plain value."""
 
-    sender: int
-    instant: int
-    stage: int
+    sender: Annotated[int, Ge(0), Le(MAX_NUMBER)]
+    instant: Count
+    stage: Count
     content: Any
 
 
+@checked
 class AgentPacket(NamedTuple):
     """All that an agent sends in a round of a network that loses or delays messages."""
 
@@ -48,33 +53,20 @@ class AgentPacket(NamedTuple):
         return self.packet.sender
 
 
-def check_agent(
-    mission: Any, number: Any, target_count: Any = None, leg: Any = None, commitment: Any = None
-) -> None:
-    """Refuse a mission that an agent cannot fly, and what else it cannot have.
+def check_agent(mission: Reconfiguration, number: int) -> None:
+    """Refuse a mission that an agent cannot fly, and a number that it has no entry for.
 
     Raises:
         ValueError: They are.
     """
-    if not isinstance(mission, Reconfiguration):
-        raise ValueError(
-            f"mission must be a sato.Reconfiguration, got {type(mission).__name__}; "
-            'sato.read("crossing") or sato.Reconfiguration(…) would do'
-        )
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
     if not _is_whole(number) or not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
-        raise ValueError(f"number must be a whole number from 0 to {most}{reason}, got {number!r}")
-    if target_count is not None and not (_is_whole(target_count) and target_count > 0):
-        raise ValueError(f"target_count must be a whole number above 0, got {target_count!r}")
-    if leg is not None and not isinstance(leg, Leg):
-        raise ValueError(f"leg must be a sato.Leg, got {type(leg).__name__}")
-    if commitment is not None and not isinstance(commitment, Commitment):
-        found = type(commitment).__name__
-        hint = "sato.find_first_commitments(drawn).get(number) would do"
-        raise ValueError(f"commitment must be a Commitment, got {found}; {hint}")
+        raise ValueError(
+            f"number must be a whole number from 0 to {most}{reason}, got {format_value(number)}"
+        )
     if mission.is_passively_safe:
         raise ValueError(
             "plan.passive_safety_m: drifts lead beyond hearing, and an agent hears only its "
@@ -150,6 +142,24 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
             f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
         )
     return array
+
+
+def check_seen(mission: Reconfiguration, seen: Sequence[Sensed]) -> list[Sensed]:
+    """Return what an agent has seen, with states as arrays.
+
+    Raises:
+        ValueError: An obstacle has other coordinates than the mission, or a state is none.
+    """
+    found: list[Sensed] = []
+    for k, thing in enumerate(seen):
+        if not isinstance(thing, Obstacle):
+            found.append((thing[0], as_state(mission, thing[1])))
+        elif thing.axes == mission.axes:
+            found.append(thing)
+        else:
+            reason = f"has {thing.axes} coordinates, and the mission {mission.axes}"
+            raise InputError(f"seen.{k}", reason)
+    return found
 
 
 def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:

@@ -7,13 +7,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.assignment import solve_assignment
 from problems.auction_cost import compute_transfer_costs
 from problems.centralized import CentralizedProblem
 from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
-from sato.scenario.errors import InputError
+from sato.scenario.definition import Seed
 
 
 class CentralMission(NamedTuple):
@@ -28,7 +29,8 @@ class CentralMission(NamedTuple):
     goal: Float[Array, "agents n"]  # target of each agent
 
 
-def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
+@checked
+def central_problem(mission: Reconfiguration, seed: Seed = 0) -> CentralMission:
     """Return the joint transfers of all agents from their starts to the targets of the first leg.
 
     They have the mission's objective, move by its shared linear model, keep its limits, collision
@@ -42,9 +44,6 @@ def central_problem(mission: Reconfiguration, seed: int = 0) -> CentralMission:
     Raises:
         ValueError: It is no reconfiguration, or has fuel in the Euclidean norm.
     """
-    if not isinstance(mission, Reconfiguration):
-        reason = 'must be a sato.Reconfiguration; sato.read("crossing") returns one'
-        raise InputError("mission", f"{reason}, got an object of type {type(mission).__name__}")
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = drawn.discretize(leg.steps)

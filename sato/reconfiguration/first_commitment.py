@@ -15,6 +15,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated, enclosing_balls
@@ -36,13 +37,16 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
 )
 from sato.reconfiguration.surroundings import Surroundings, find_surroundings
+from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
+from sato.shapes import Points
 
 MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
 SLOWER = 2  # times the time of the slowest stop, in which all come to rest
 
 
+@checked
 @lru_cache(maxsize=2)  # asked for when a mission is drawn, and when it is flown
 def find_first_commitments(mission: Reconfiguration) -> Commitments:
     """Find stopping trajectories, clear of each other, for all that are there at the start.
@@ -54,8 +58,10 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
         Commitment of each; none where all are at rest, or the mission is in orbit.
 
     Raises:
-        InputError: Two cannot stop clear of each other.
+        InputError: Two cannot stop clear of each other, or the mission is not drawn.
     """
+    if not isinstance(mission.start, Points) or mission.margin is None or is_auto(mission.margin):
+        raise InputError("mission", "must be drawn; mission.draw(rng) would do")
     agents, d = np.flatnonzero(mission.alive), mission.axes
     start = mission.initial_states[agents]
     around = find_surroundings(mission)

@@ -11,7 +11,17 @@ from numpy import ndarray as Array
 
 from dynamics.units import Key
 from sato.reconfiguration.start import Start
-from sato.scenario.definition import LATER, Convert, Definition, NotNegative, Positive, is_auto
+from sato.scenario.definition import (
+    LATER,
+    Amount,
+    Axes,
+    Convert,
+    Count,
+    Definition,
+    NotNegative,
+    Positive,
+    is_auto,
+)
 from sato.scenario.errors import InputError
 from sato.shapes import Lattice, Picture, Points, Polygon, Ring, Text
 from sato.shapes.shape import as_points
@@ -30,12 +40,11 @@ def longest_leg(steps: int, lag_steps: int) -> int:
     return most + -most % lag_steps if lag_steps else most
 
 
-Steps = Annotated[int, Positive]
+Steps = Amount
 if TYPE_CHECKING:
     Duration = int  # once the mission is drawn
 else:
     Duration = Steps | Literal["auto"]
-Count = Annotated[int, NotNegative]
 Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
 
@@ -164,7 +173,9 @@ class Leg(Definition):
         states.flags.writeable = False
         return states
 
-    def place(self, demand: int, axes: int, min_distance: float = 0.0) -> Points:
+    def place(
+        self, demand: Amount, axes: Axes, min_distance: Annotated[float, NotNegative] = 0.0
+    ) -> Points:
         """Return the targets as points in their order.
 
         Args:

@@ -18,7 +18,7 @@ from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.network.link import Link
 from sato.obstacles import AnyObstacle
 from sato.reconfiguration import feasibility, link_feasibility, models, own_motion, vehicles
-from sato.reconfiguration.leg import Count, Leg, Steps, states_of
+from sato.reconfiguration.leg import Leg, Steps, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.planned_limits import PlannedLimits
@@ -28,6 +28,7 @@ from sato.scenario.definition import (
     LATER,
     Convert,
     Coordinates,
+    Count,
     In,
     Inline,
     Matrix,
@@ -406,7 +407,7 @@ class Reconfiguration(PlannedLimits, Mission):
         """True for agents that are there at the start."""
         return np.arange(len(self.initial_states)) < self.agent_count
 
-    def joining(self, number: int) -> list[tuple[list[int], int]]:
+    def joining(self, number: Count) -> list[tuple[list[int], int]]:
         """List the joins of a leg: indices of the agents, and the step at which they join."""
         first = self.agent_count
         found: list[tuple[list[int], int]] = []

@@ -13,6 +13,7 @@ from dynamics.atmosphere import Atmosphere
 from dynamics.bodies import EARTH, find_body
 from dynamics.circular_orbit import CircularOrbitModel, ClohessyWiltshire, SchweighartSedwick
 from dynamics.discretize import DiscreteModel, discretize_zoh, have_equal_steps
+from dynamics.doors import check_methods
 from dynamics.double_integrator import DoubleIntegrator
 from dynamics.inertial import InertialPlant
 from dynamics.j2 import J2
@@ -23,7 +24,7 @@ from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.own_motion import check_axes
-from sato.scenario.definition import Definition, NotNegative, Positive
+from sato.scenario.definition import Amount, Definition, NotNegative, Positive
 from sato.scenario.errors import InputError, join_names
 
 MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
@@ -233,6 +234,7 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         plant.atmosphere(chief)
 
 
+@check_methods
 class Motion:
     """Properties that follow from the model, the chief and the plant of a mission."""
 
@@ -249,6 +251,11 @@ class Motion:
         return 3 if isinstance(self.model, OrbitalModel) else self.model.axes
 
     @property
+    def array_sizes(self) -> dict[str, int]:
+        """Sizes of the axes of arrays, by name."""
+        return {"d": self.axes, "n": 2 * self.axes}
+
+    @property
     def is_point_mass(self) -> bool:
         """True for a double integrator."""
         return isinstance(self.model, PointMass)
@@ -263,7 +270,7 @@ class Motion:
         """Model that all agents share, and auctions price by."""
         return make_linear_model(self.model, self.chief)
 
-    def discretize(self, steps: int, time: float = 0.0) -> DiscreteModel:
+    def discretize(self, steps: Amount, time: float = 0.0) -> DiscreteModel:
         """Discretize the shared model over some control steps from a time on."""
         return discretize_zoh(self.linear_model, self.step, steps, time)
 
@@ -288,7 +295,7 @@ class Motion:
         orbit = getattr(model, "orbit", None)
         return orbit.period if isinstance(orbit, Orbit) else None
 
-    def draw_plant(self, agents: int, rng: np.random.Generator) -> PlantSettings | Plant:
+    def draw_plant(self, agents: Amount, rng: np.random.Generator) -> PlantSettings | Plant:
         """Return the plant, with ballistic coefficients drawn where vehicles have them."""
         plant, chief = self.plant, self.chief
         if isinstance(plant, Plant) or plant.ballistic is None or chief is None:

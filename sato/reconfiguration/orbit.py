@@ -195,7 +195,7 @@ class Chief(Definition):
             times: Times [s].
         """
         flat = "positions in the plane (z = 0)"
-        if self.semi_major_axis is None:
+        if self.semi_major_axis is None or not len(times):
             return f"another start along the orbit would do, or {flat}"
 
         def least_cosine(anomaly: float) -> float:

@@ -3,12 +3,13 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from jaxtyping import Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
+from dynamics.doors import check_methods
 from problems.limit import Limit
 from sato.network.link import Link
 from sato.reconfiguration.tracking import (
@@ -20,12 +21,13 @@ from sato.reconfiguration.tracking import (
     measurement_deviations,
 )
 from sato.reconfiguration.vehicles import Vehicles
-from sato.scenario.definition import is_auto
+from sato.scenario.definition import Count, Positive, is_auto
 
 if TYPE_CHECKING:
     from problems.transfer import TransferProblem
 
 
+@check_methods
 class PlannedLimits(Vehicles):
     """Properties that follow from the limits of a mission, its noise and its margin."""
 
@@ -77,7 +79,7 @@ class PlannedLimits(Vehicles):
         """Deviations from references; None where agents plan from their estimates."""
         return self.tracking_after(0)
 
-    def tracking_after(self, steps: int) -> TrackingDeviations | None:
+    def tracking_after(self, steps: Count) -> TrackingDeviations | None:
         """Return deviations from references that are at least so many steps old.
 
         Double integrators have references if they fly as modeled, but for noise.
@@ -87,7 +89,7 @@ class PlannedLimits(Vehicles):
         measured, pushed = measurement_deviations(self), largest_disturbance(self)
         return compute_deviations(self.step, *measured, pushed, steps)
 
-    def planned_control_limit(self, agent: int) -> Limit:
+    def planned_control_limit(self, agent: Count) -> Limit:
         """Return the limit of the acceleration in the plans of an agent [m/s²].
 
         They leave a part of it to the feedback that keeps it near its reference.
@@ -143,7 +145,7 @@ class PlannedLimits(Vehicles):
         V = self.fastest_plans(self.replan_steps, margin)
         return min(room - V * delay for room, delay in rooms)
 
-    def _list_rooms(self, steps: int, margin: float) -> list[tuple[float, float]]:
+    def _list_rooms(self, steps: Count, margin: float) -> list[tuple[float, float]]:
         """List the ways that n vehicles share (R_comm − R)/n [m], and delays 2 τ + L Δt [s].
 
         τ is the time for which one may go unheard, and clocks may differ. What is decided is flown
@@ -166,7 +168,9 @@ class PlannedLimits(Vehicles):
         kept = self.largest_separation + margin * (1 if self.tracking is None else 2)
         return kept * self.widest_axis
 
-    def speed_within_reach(self, steps: int, margin: float, control_factor: float = 1.0) -> float:
+    def speed_within_reach(
+        self, steps: Count, margin: float, control_factor: Annotated[float, Positive] = 1.0
+    ) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
         They fly on for so many steps h, and stop at the least control U of plans in whole steps:
@@ -186,7 +190,7 @@ class PlannedLimits(Vehicles):
             speeds.append(U * ((t**2 + 2 * max(room, 0.0) / U) ** 0.5 - t))
         return float(min(speeds))
 
-    def fastest_plans(self, steps: int, margin: float) -> float:
+    def fastest_plans(self, steps: Count, margin: float) -> float:
         """Return the largest speed of any plan, where vehicles fly on for so many steps [m/s]."""
         return min(float(self.top_speeds.max()), self.speed_within_reach(steps, margin))
 
@@ -226,7 +230,9 @@ class PlannedLimits(Vehicles):
             margin += self.link.skew * (V - self.fastest_plans(self.replan_steps, margin))
         return self.distance_unheard(margin) + self.sharing_unheard * way
 
-    def planned_speed_limit(self, agent: int, control_factor: float = 1.0) -> Limit:
+    def planned_speed_limit(
+        self, agent: Count, control_factor: Annotated[float, Positive] = 1.0
+    ) -> Limit:
         """Return the limit of the velocity in the plans of an agent [m/s].
 
         Where it could not stop within reach from full speed, it plans to fly more slowly.
@@ -244,7 +250,7 @@ class PlannedLimits(Vehicles):
         diagonal = self.axes**0.5 if self.speed_norm == "inf" else 1.0
         return replace(limit, bound=slow / diagonal)
 
-    def stop_speed_limit(self, agent: int) -> Limit:
+    def stop_speed_limit(self, agent: Count) -> Limit:
         """Return the limit of the velocity in stops and evasions of an agent [m/s].
 
         Its own, unless its reach counts on its speed, as where messages are late.
@@ -252,7 +258,7 @@ class PlannedLimits(Vehicles):
         is_own = self.link.is_ideal
         return self.speed_limit(agent) if is_own else self.planned_speed_limit(agent)
 
-    def make_transfer(self, model: DiscreteModel, agent: int, **more: Any) -> "TransferProblem":
+    def make_transfer(self, model: DiscreteModel, agent: Count, **more: Any) -> "TransferProblem":
         """Make the transfer problem of an agent over some steps, at the speed of stops at most."""
         from problems.transfer import TransferProblem
 

@@ -13,12 +13,13 @@ from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.obstacle_paths import ObstaclePaths, pad_corners
 from sato.obstacles import Obstacle, corners_of_cube, polytope_about_ball
 from sato.reconfiguration.mission import Reconfiguration
+from sato.scenario.definition import Count
 
 ESCAPE_FACTOR = 2.0  # of the way out of what moves, for others that are in it
 AT_REST = 1e-6  # of R in a step: what moves more slowly stays where it is
 WALL_FACTOR = 100.0  # size of the walls about the allowed positions, over that of these
 
-Sensed = Obstacle | tuple[int, ArrayLike]  # or the number of a lost vehicle, and its state
+Sensed = Obstacle | tuple[Count, ArrayLike]  # or the number of a lost vehicle, and its state
 
 
 class Surroundings(NamedTuple):

@@ -7,14 +7,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.doors import check_methods
 from problems.limit import Bound, Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
+from sato.scenario.definition import Count
 from sato.scenario.errors import InputError
 
 PerVehicle = float | tuple[float, ...]  # the same for all, or an entry for each
 
 
+@check_methods
 class Vehicles(Motion):
     """Properties that follow from the limits of a mission.
 
@@ -102,7 +105,10 @@ class Vehicles(Motion):
         """
         if self.has_equal_radii:
             return np.full(len(agents), clearance)
-        return np.asarray(clearance + (self.radii[agents] - self.largest_separation))
+        try:
+            return np.asarray(clearance + (self.radii[agents] - self.largest_separation))
+        except IndexError as error:
+            raise InputError("agents", f"must be below {len(self.radii)}, {error}") from error
 
     @cached_property
     def control_limits(self) -> tuple[Limit, ...]:
@@ -116,11 +122,11 @@ class Vehicles(Motion):
         bounds = _bounds(self.max_speed, self.max_speed_axes)
         return tuple(Limit(bound, self.speed_norm, self.axes) for bound in bounds)
 
-    def control_limit(self, agent: int) -> Limit:
+    def control_limit(self, agent: Count) -> Limit:
         """Return the limit of an agent's acceleration [m/s²]."""
         return self.control_limits[agent % len(self.control_limits)]
 
-    def speed_limit(self, agent: int) -> Limit:
+    def speed_limit(self, agent: Count) -> Limit:
         """Return the limit of an agent's velocity [m/s]."""
         return self.speed_limits[agent % len(self.speed_limits)]
 

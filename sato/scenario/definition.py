@@ -10,6 +10,7 @@ of keys in the documentation, the messages of errors, and equality by value.
 """
 
 import inspect
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
@@ -26,7 +27,7 @@ from typing import (
 )
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le, Lt
 from numpy import ndarray as Array
 from pydantic import (
     AfterValidator,
@@ -38,6 +39,7 @@ from pydantic import (
 )
 
 from dynamics.callbacks import Callback, guard
+from dynamics.doors import check_methods
 from dynamics.inputs import as_array as as_array
 from dynamics.inputs import shorten
 from dynamics.labels import to_plain
@@ -46,11 +48,17 @@ from dynamics.plant import Plant
 from dynamics.quantities import within_turns
 from dynamics.units import Key as Key
 from dynamics.units import Unit
-from sato.scenario.errors import InputError, explain, join_names
+from sato.scenario.errors import InputError, explain, format_value, join_names
 from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
 TURNS = AfterValidator(within_turns)  # mark of an angle of at most two turns
+Seed = Annotated[int, Ge(0), Lt(2**64)]
+Amount = Annotated[int, Positive]
+Count = Annotated[int, NotNegative]
+Axes = Annotated[int, Ge(2), Le(3)]
+LONGEST_TEXT = 4096  # characters
+UNWRITABLE = re.compile("[\\0-\\x1f\\x7f\ud800-\udfff]")  # controls, and halves of characters
 LATER: Any = None  # default of a field that follows from others, or is drawn
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -112,11 +120,13 @@ class Definition:
 
     callbacks: ClassVar[dict[str, Callback]] = {}  # methods that users write
 
-    def __init_subclass__(cls) -> None:
-        """Check methods of the user's own."""
-        guard(cls, cls.callbacks)
-
     __signature__ = ShortSignature()
+
+    def __init_subclass__(cls) -> None:
+        """Let public methods check their arguments, or, of a user's own, be checked themselves."""
+        if cls.__module__.startswith("sato."):
+            check_methods(cls)
+        guard(cls, cls.callbacks)
 
     def __post_init__(self) -> None:
         """Convert and check every field, then all of them together."""
@@ -220,6 +230,9 @@ class Field:
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
         if is_list and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())
+        if isinstance(value, str) and (len(value) > LONGEST_TEXT or UNWRITABLE.search(value)):
+            reason = f"must be a line of text, of at most {LONGEST_TEXT} characters"
+            raise InputError("", f"{reason}, got {format_value(value)}")
         try:
             return check_range(self._adapter.validate_python(value))
         except ValidationError as error:
@@ -318,7 +331,7 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        one = f"{value:g}"
+        one = format_value(value)
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
 

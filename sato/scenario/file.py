@@ -12,8 +12,9 @@ import tomli_w
 from pydantic import Field
 
 from dynamics.callbacks import Callback, as_kind
+from dynamics.doors import checked
 from sato.scenario.definition import Definition, In, errors_in
-from sato.scenario.errors import InputError, ScenarioError, closest_name, join_names
+from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
 from sato.scenario.overrides import Setting, list_settings, override, write_value
 from sato.scenario.table import OWN, find_own, name_class, read_table, write_table
 from sato.systems import definition_of
@@ -21,7 +22,7 @@ from sato.systems import definition_of
 BUILT_IN = Path(__file__).parent.parent / "scenarios"
 FONT_FILES = (".ttf", ".otf", ".ttc")
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -99,6 +100,7 @@ def scenarios() -> dict[str, str]:
     return {name: text.split("\n")[0].lstrip("# ") for name, text in texts.items()}
 
 
+@checked
 def read(name: str | Path, overrides: Iterable[Setting] = ()) -> Mission:
     """Read a built-in scenario by its name, or a file.
 
@@ -113,6 +115,7 @@ def read(name: str | Path, overrides: Iterable[Setting] = ()) -> Mission:
     return parse(text, overrides, source=str(name), folder=folder)
 
 
+@checked
 def read_data(name: str | Path) -> dict[str, Any]:
     """Read the tables of a scenario as `from_dict` takes them; the name is as of `read`.
 
@@ -135,6 +138,7 @@ def _read_text(name: str | Path) -> tuple[str, Path]:
     return read_text(file), file.parent
 
 
+@checked
 def read_text(file: Path) -> str:
     """Read a file.
 
@@ -148,6 +152,7 @@ def read_text(file: Path) -> str:
         raise ScenarioError(f"{file}: cannot be read: {reason}") from error
 
 
+@checked
 def parse(
     text: str,
     overrides: Iterable[Setting] = (),
@@ -173,6 +178,7 @@ def parse(
         raise ScenarioError(f"{source}: {error}") from error
 
 
+@checked
 def load_toml(text: str, source: str) -> dict[str, Any]:
     """Read TOML; what has no name is named after its source.
 
@@ -187,6 +193,7 @@ def load_toml(text: str, source: str) -> dict[str, Any]:
     return data
 
 
+@checked
 def from_dict(
     data: dict[str, Any], overrides: Iterable[Setting] = (), *, folder: Path | None = None
 ) -> Mission:
@@ -201,7 +208,10 @@ def from_dict(
         InputError: The keys or values are not those of a mission.
     """
     settings = list_settings(overrides)
-    data = _copied(data, folder)
+    try:
+        data = _copied(data, folder)
+    except RecursionError as error:
+        raise InputError("", "has tables or lists too deep, or within themselves") from error
     definition = definition_of(data.pop("system", ""))
     for setting in settings:
         override(data, setting, definition)
@@ -212,6 +222,7 @@ def from_dict(
     return mission
 
 
+@checked
 def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]:
     """Write overrides of a scenario as "table.key = value", each with all its tables.
 
@@ -235,6 +246,8 @@ def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]
 def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
     # Files that a scenario names lie beside it, wherever it is run from.
     if isinstance(value, dict):
+        if names := [name for name in value if not isinstance(name, str)]:
+            raise InputError(key, f"must have keys of text, got {format_value(names[0])}")
         return {name: _copied(part, folder, name) for name, part in value.items()}
     if isinstance(value, list):
         return [_copied(part, folder) for part in value]

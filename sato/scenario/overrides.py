@@ -106,9 +106,16 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
         table: Any = data
         for part in spot.path:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
-        table[key] = "none" if value is NONE else deepcopy(value)
+        table[key] = "none" if value is NONE else _copied(address, value)
     # Numbers pick tables of a list.
     return holders[0].address(key) if address == plain else address
+
+
+def _copied(address: str, value: Any) -> Any:
+    try:
+        return deepcopy(value)
+    except (TypeError, RecursionError) as error:
+        raise InputError(address, f"takes no value such as {format_value(value)}") from error
 
 
 def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:

@@ -147,7 +147,9 @@ def choose(field: Field, data: Any) -> type:
     kind, names = data.get("kind"), join_names(map(format_value, field.kinds), "and")
     if kind is None:
         raise InputError("kind", f"is missing; there are {names}")
-    if isinstance(kind, str) and kind in field.kinds:
+    if not isinstance(kind, str):
+        raise InputError("kind", f"there is no kind {format_value(kind)}, only {names}")
+    if kind in field.kinds:
         return field.kinds[kind]
     close = closest_name(str(kind), field.kinds)
     hint = f'; did you mean "{close}"?' if close else ""

@@ -38,7 +38,7 @@ def bend_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Pl
     ids, paths, own = stack_paths(now)
     path = paths[:, :, 0]
     middle, extent = enclosing_balls(path)
-    i, j = graph.pairs_among(ids)
+    i, j = graph.pairs_among(np.array(ids, dtype=int))
     most = extent[i] + extent[j] + (own[i] + own[j]) / 2
     near = np.linalg.norm(middle[i] - middle[j], axis=1) < most
     i, j = i[near], j[near]

@@ -92,7 +92,7 @@ def run_batched(
         return
     own = np.array([agent.horizon.clearance for agent in now])
     rank = np.argsort(sorted(range(len(now)), key=lambda k: now[k].priority))
-    i, j = graph.pairs_among(ids)
+    i, j = graph.pairs_among(np.array(ids))
     lower, upper = np.where(rank[i] > rank[j], (i, j), (j, i))
     radius = (own[lower] + own[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])

@@ -115,7 +115,7 @@ def _count_meetings(history: Sequence[Mapping[int, Planner]], graph: Communicati
 def _solve_all(now: dict[int, Planner], graph: CommunicationGraph) -> dict[int, Planner]:
     ids, paths, own = stack_paths(now)
     rank = np.array([now[i].priority[0] for i in ids])
-    i, j = graph.pairs_among(ids)
+    i, j = graph.pairs_among(np.array(ids, dtype=int))
     meets = ~are_paths_separated(paths, i, j, (own[i] + own[j]) / 2)
     i, j = i[meets], j[meets]
     acts = np.array([_improves(own) or not own.keeps_clear([]) for own in now.values()])

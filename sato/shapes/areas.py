@@ -10,9 +10,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from pydantic import Field
 
 from dynamics.units import Unit
-from sato.scenario.definition import Matrix
+from sato.scenario.definition import Amount, Axes, Matrix
 from sato.scenario.errors import InputError
 from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
 from sato.shapes.shape import Drawing, Shape, Size
@@ -39,11 +40,11 @@ class Text(Shape):
     """
 
     kind: ClassVar[str] = "text"
-    text: Annotated[str, "text, in one line"]
+    text: Annotated[str, Field(max_length=200), "text, in one line"]
     font: Annotated[str | None, "name or file of a font"] = None
     height: Annotated[Size | None, Unit("m"), "height of the text"] = None
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Spread targets over the strokes of all letters."""
         text = self.text
         if not text.strip():
@@ -83,7 +84,7 @@ class Polygon(Shape):
             needed = "a polygon needs at least three vertices of two coordinates"
             raise InputError("vertices_m", f"{needed}, got {self.vertices.shape}")
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Fill the polygon."""
         return _fill_outlines([self.vertices], count)
 
@@ -105,7 +106,7 @@ class Picture(Shape):
     height: Annotated[Size | None, Unit("m"), "height of the picture"] = None
     invert: Annotated[bool, "fill the bright part"] = False
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Fill the pixels inside."""
         inside = _read_mask(Path(self.file)) ^ self.invert
         if not inside.any():

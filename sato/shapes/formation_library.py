@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from numpy.random import Generator
 
+from dynamics.doors import checked
 from problems.desired_formation import DesiredFormation
 from sato.scenario.csv_file import read_rows
 from sato.scenario.errors import join_names
@@ -32,6 +33,7 @@ def formation_names() -> tuple[str, ...]:
     return tuple(_load_library())
 
 
+@checked
 def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> DesiredFormation:
     """Load a formation of the library, with its own graph or the complete one.
 
@@ -62,6 +64,7 @@ def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> Desi
     return make_formation(points, adjacency, full_name)
 
 
+@checked
 def make_formation(
     points: Float[Array, "n d"], graph: Bool[Array, "n n"] | None = None, name: str = ""
 ) -> DesiredFormation:
@@ -81,6 +84,7 @@ def make_formation(
     return DesiredFormation(in_space, graph, name)
 
 
+@checked
 def read_formation(path: str | Path) -> DesiredFormation:
     """Read a formation from a file of points: x, y, z or x, y in meters, a line each.
 
@@ -116,6 +120,7 @@ def _match_name(name: str) -> str:
     raise ValueError(f'the library has no formation "{name}"; did you mean {join_names(options)}?')
 
 
+@checked
 def graph_from_edges(count: int, edges: Sequence[Sequence[int]]) -> Bool[Array, "n n"]:
     """Return the adjacency matrix of a graph with these edges."""
     graph = np.zeros((count, count), dtype=bool)
@@ -124,6 +129,7 @@ def graph_from_edges(count: int, edges: Sequence[Sequence[int]]) -> Bool[Array, 
     return graph
 
 
+@checked
 def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
 
@@ -159,6 +165,7 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     return graph_from_edges(count, edges)
 
 
+@checked
 def random_dense_graph(count: int, removals: int, rng: Generator) -> Bool[Array, "count count"]:
     """Return the complete graph without some random edges.
 
@@ -171,6 +178,7 @@ def random_dense_graph(count: int, removals: int, rng: Generator) -> Bool[Array,
     return graph
 
 
+@checked
 def random_sparse_graph(
     points: Float[Array, "n d"], share: float, rng: Generator
 ) -> Bool[Array, "n n"]:

@@ -6,11 +6,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+
 # Relative: distances that differ by less are equal, so that rounding on a machine decides nothing.
 TIE_TOLERANCE = 1e-9
 MAX_DISTANCES = 2 * 10**8  # computed for an order: 10 s or so
 
 
+@checked
 def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Array, " count"]:
     """Choose points one by one, each as far as possible from those already chosen.
 
@@ -38,6 +41,7 @@ def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Arra
     return indices
 
 
+@checked
 def golden_ratio_order(count: int) -> Int[Array, " count"]:
     """Return the permutation whose every prefix is spread evenly over the indices.
 

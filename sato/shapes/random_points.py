@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.doors import checked
+
 MAX_REJECTIONS = 10_000  # successive rejections after which there is taken to be no room
 PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sampling stays quick
 
@@ -43,6 +45,7 @@ def sample_separated(
     return points[len(occupied) :]
 
 
+@checked
 def sample_positions(
     count: int, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int = 0
 ) -> Float[Array, "count d"]:
@@ -77,6 +80,7 @@ def sample_positions(
         ) from full
 
 
+@checked
 def sample_formation(
     count: int, box: Sequence[float], separation: float, rng: np.random.Generator
 ) -> Float[Array, "count 3"]:

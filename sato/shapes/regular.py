@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.units import Unit
-from sato.scenario.definition import Coordinates
+from sato.scenario.definition import Amount, Axes, Coordinates
 from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
 from sato.shapes.shape import Drawing, Shape, Size
 
@@ -23,7 +23,7 @@ class Ring(Shape):
     radius: Annotated[Size | None, Unit("m"), "radius of the circle"] = None
     normal: Annotated[Coordinates | None, "normal of its plane, in space"] = None
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Space targets equally on a circle."""
         angle = 2 * pi / count * golden_ratio_order(count)
         circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -41,7 +41,7 @@ class Lattice(Shape):
     radius: Annotated[Size | None, Unit("m"), "radius of the patch"] = None
     flat: Annotated[bool, "in the x-y plane, also where the model moves in space"] = False
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Take the innermost nodes of a lattice."""
         nodes = _lattice_nodes(count, 2 if self.flat else axes)
         nodes = nodes[farthest_point_sampling(nodes, count)]

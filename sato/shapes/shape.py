@@ -15,7 +15,17 @@ from dynamics.labels import AXES, STATES, to_plain
 from dynamics.trajectory_geometry import min_distance as least_distance
 from dynamics.units import Length, Unit
 from sato.scenario.csv_file import read_columns
-from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, as_array, errors_in
+from sato.scenario.definition import (
+    Amount,
+    Axes,
+    Coordinates,
+    Definition,
+    Matrix,
+    NotNegative,
+    Positive,
+    as_array,
+    errors_in,
+)
 from sato.scenario.errors import InputError, round_up
 from sato.shapes.ordering import farthest_point_sampling
 
@@ -52,14 +62,16 @@ class Shape(Definition):
     spacing: Annotated[Size | None, Unit("m"), "least distance of two targets"] = None
 
     @abstractmethod
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Draw the shape at any scale.
 
         Raises:
             ValueError: It cannot be drawn.
         """
 
-    def place(self, count: int, axes: int, min_distance: float = 0.0) -> Float[Array, "count axes"]:
+    def place(
+        self, count: Amount, axes: Axes, min_distance: Annotated[float, NotNegative] = 0.0
+    ) -> Float[Array, "count axes"]:
         """Return positions in the space of the model [m].
 
         Args:
@@ -70,8 +82,6 @@ class Shape(Definition):
         Raises:
             InputError: The shape does not fit the count, the distance or the model.
         """
-        if count < 1:
-            raise InputError("", f"a shape needs at least one target, got count = {count}")
         with errors_in(""):
             drawn = self._draw_to_scale(count, axes, min_distance)
         d = drawn.shape[1]
@@ -81,7 +91,7 @@ class Shape(Definition):
         placed[:, :d] += drawn
         return placed
 
-    def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
+    def place_velocities(self, count: Amount, axes: Axes) -> Float[Array, "count axes"] | None:
         """Return the velocity at each position [m/s], where the shape gives them."""
         return None
 
@@ -90,13 +100,13 @@ class Shape(Definition):
         """True where the shape depends on a file or an installed font."""
         return any(getattr(self, name, None) is not None for name in ("file", "font"))
 
-    def without_files(self, count: int, axes: int) -> Any:
+    def without_files(self, count: Amount, axes: Axes) -> Any:
         """Return the same shape with the contents of its files."""
         if not self.uses_files:
             return self
         return Points(self.place(count, axes), self.place_velocities(count, axes), keep_order=True)
 
-    def _draw_to_scale(self, count: int, axes: int, needed: float) -> Float[Array, "count d"]:
+    def _draw_to_scale(self, count: Amount, axes: Axes, needed: float) -> Float[Array, "count d"]:
         # Positions about the origin, or where an absolute shape is drawn if there is no center.
         points, middle, drawn_size = self.draw(count, axes)
         name = next((name for name in ("height", "radius") if hasattr(self, name)), "")
@@ -187,7 +197,7 @@ class Points(Shape):
             raise InputError("velocities_m_s", "stand in the file too; one of the two is enough")
         return points, self.velocities if velocities is None else velocities
 
-    def draw(self, count: int, axes: int) -> Drawing:
+    def draw(self, count: Amount, axes: Axes) -> Drawing:
         """Take the first points of the order."""
         listed = self.listed
         middle = (listed.min(axis=0) + listed.max(axis=0)) / 2
@@ -195,7 +205,7 @@ class Points(Shape):
             middle = np.zeros_like(middle)  # the points stay what they are to the last bit
         return Drawing(listed[self._order(listed, count)], middle)
 
-    def place_velocities(self, count: int, axes: int) -> Float[Array, "count axes"] | None:
+    def place_velocities(self, count: Amount, axes: Axes) -> Float[Array, "count axes"] | None:
         """Return the velocity at each position [m/s], where they are given.
 
         Raises:
