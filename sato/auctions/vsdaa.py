@@ -71,6 +71,7 @@ class VsdaaAuction:
 
     def __post_init__(self) -> None:
         """Refuse an auction that cannot end."""
+        object.__setattr__(self, "cost", np.asarray(self.cost, dtype=float))  # of any numbers
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
         if agents != len(alive) or agents != len(target_count):
