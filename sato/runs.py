@@ -20,6 +20,7 @@ from threadpoolctl import ThreadpoolController, threadpool_limits
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Report
+from sato.compilation import announce_compilation
 from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
@@ -190,7 +191,7 @@ def run(
     began = perf_counter()
     overrides = overrides if isinstance(overrides, str) else tuple(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"), announce_compilation(progress is True):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:
