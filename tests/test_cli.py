@@ -19,8 +19,8 @@ from typer.testing import CliRunner, Result
 import sato
 import sato.reconfiguration.system
 from problems.conic import Infeasible
-from sato.compilation import NOTICE
 from sato.cli import app
+from sato.compilation import NOTICE
 from sato.console import print_summary, show_mission_progress
 from sato.reconfiguration.system import SYSTEM
 from sato.run_data import RunData

@@ -107,7 +107,7 @@ class RecordedStick(Definition):
             reason = f"must increase from one to the next, got {before:.12g} and then {after:.12g}"
             raise InputError("times_s", reason)
         if abs(self.times[0]) >= MILLISECONDS:
-            reason = f"begins at {self.times[0]:.4g} s, which are milliseconds or less of some clock"
+            reason = f"begins at {self.times[0]:.4g} s, milliseconds or less of some clock"
             raise InputError("times_s", f"{reason}; times in seconds would do")
 
     def draw(self, leader: Vector3, rng: np.random.Generator) -> "RecordedStick":
@@ -138,8 +138,8 @@ class RecordedStick(Definition):
         if last + usual >= duration or not speed:
             return []
         return [
-            f"the stick's recording ends at {last:.4g} s of {duration:g} s, and its last command of "
-            f"{speed:.3g} m/s holds until the end; a last row of zeros would let it go"
+            f"the stick's recording ends at {last:.4g} s of {duration:g} s, and its last command "
+            f"of {speed:.3g} m/s holds until the end; a last row of zeros would let it go"
         ]
 
     def without_file(self) -> "RecordedStick":

@@ -270,7 +270,8 @@ class Decision(NamedTuple):
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
         choice, plan, i = choosing.choice, self.plans[self.number], self.number
         if self.context.instant == 0 and (met := choosing.find_met()) is not None:
-            refuse_start(*sorted((i, met.agent)), (choosing.message.clearance + met.clearance) / 2)
+            radius = (choosing.message.clearance + met.clearance) / 2
+            refuse_start(min(i, met.agent), max(i, met.agent), radius)
         committed = {i: stopping.Commitment(self.context.instant, choosing.offers.u[0, choice])}
         is_kept = choice == choosing.offers.last
         if choice == 0 or (is_kept and self.is_unclear):

@@ -121,7 +121,11 @@ def forecast_alone(
     ranges, least = [cost_range(table, i)[1] for i in rows], least_penalty(epsilon)
     firm = firm_penalty(ranges, least) if is_firm else None
     is_near = np.isin(np.arange(target.shape[1]), members)
-    cost = np.array([apply_bidding_rules(table, memory, i, is_near, firm, least=least) for i in rows])
-    opening = forecast_opening(VsdaaAuction(cost[:, order], graph, np.full(count, target_count), epsilon))
+    cost = np.array(
+        [apply_bidding_rules(table, memory, i, is_near, firm, least=least) for i in rows]
+    )
+    opening = forecast_opening(
+        VsdaaAuction(cost[:, order], graph, np.full(count, target_count), epsilon)
+    )
     own_row = [members.index(number)]
     return Opening(opening.price[own_row], opening.target_index[own_row])

@@ -153,7 +153,9 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:
         reason = f"no time of up to {longest} steps is found to be enough for all to reach targets"
-        raise InputError(where, f"{reason}; a larger model.max_control_m_s2 or max_speed_m_s may do")
+        raise InputError(
+            where, f"{reason}; a larger model.max_control_m_s2 or max_speed_m_s may do"
+        )
     return int(least)
 
 
