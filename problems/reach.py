@@ -40,7 +40,8 @@ def bound_least_controls(
     lower, upper = np.zeros((2, count))
     groups = decouple_axes(steps)
     if limit.norm != "inf":  # axes share the limit
-        groups = [tuple(np.concatenate(part) for part in zip(*groups, strict=True))]
+        states, inputs = (np.concatenate(part) for part in zip(*groups, strict=True))
+        groups = [(states, inputs)]
     for states, inputs in groups:
         own = C[states][:, :, inputs].reshape(len(states), -1)
         rows, triangle = np.linalg.qr(own.T)
@@ -63,7 +64,7 @@ def bound_least_controls(
 def _bound(
     Q: Float[Array, "s T m"], b: Float[Array, "some s"], rounds: int, norm: Norm
 ) -> tuple[Float[Array, " some"], Float[Array, " some"]]:
-    dual: Norm = {1: "inf", 2: 2, "inf": 2}[norm]  # of a single axis all norms are the same
+    dual: Norm = "inf" if norm == 1 else 2  # of a single axis all norms are the same
     s, T, _ = Q.shape
     squares = np.einsum("ikm,jkm->kij", Q, Q).reshape(T, s * s)
     λ, lower, upper = b, np.zeros(len(b)), np.full(len(b), np.inf)

@@ -15,6 +15,7 @@ from rich.table import Column, Table
 
 from dynamics.trajectory_geometry import sampled_separations
 from sato.check.report import Report
+from sato.compilation import announce_compilation
 from sato.interfaces import Frame, FrameT, MissionProgress, MissionT
 from sato.summary import format_label, format_value, is_parts, summary_rows
 
@@ -61,7 +62,8 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar of counted work on a terminal, a moving one until it is counted; else nothing."""
     console, is_hidden = Console(stderr=True), not sys.stderr.isatty()
     columns = (TextColumn(label), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=is_hidden) as bar:
+    bar = Progress(*columns, console=console, transient=True, disable=is_hidden)
+    with announce_compilation(), bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

@@ -25,6 +25,7 @@ from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
 from sato.check.report import Promise, Report, Verdict
+from sato.compilation import announce_compilation
 from sato.console import show_mission_progress
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
@@ -239,7 +240,11 @@ def run(
     began = perf_counter()
     overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
-    with threadpool_limits(1, user_api="blas"), strictly(strict):
+    quiet_blas, compiling = (
+        threadpool_limits(1, user_api="blas"),
+        announce_compilation(progress is True),
+    )
+    with quiet_blas, compiling, strictly(strict):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:

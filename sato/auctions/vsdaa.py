@@ -102,6 +102,7 @@ class VsdaaAuction:
 
     def _check(self) -> None:
         """Refuse an auction that cannot end."""
+        object.__setattr__(self, "cost", np.asarray(self.cost, dtype=float))  # of any numbers
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
         if agents != len(alive) or agents != len(target_count):

@@ -12,6 +12,7 @@ from typing import Any
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from sato.campaigns.trial import Flights, Outcome, Trial, TrialFunction, one_thread_each
+from sato.compilation import announce_all
 from sato.scenario.errors import InputError
 
 AHEAD = 2  # trials that each worker has, one of which waits, so that it is never idle
@@ -46,7 +47,8 @@ def fly_locally(
     again: list[Trial] = []  # trials of processes that died before they began
     flying: dict[ProcessFuture[Outcome], tuple[int, Trial]] = {}
     with one_thread_each():
-        pools = [ProcessPool(1, context=context) for _ in range(workers)]
+        pools = [ProcessPool(1, context=context, initializer=announce_all)]
+        pools += [ProcessPool(1, context=context) for _ in range(1, workers)]
         try:
             while True:
                 waiting = Counter(number for number, _ in flying.values())

@@ -13,6 +13,7 @@ from sato.connectivity.stick import RecordedStick
 from sato.network.graph import label_components
 from sato.scenario.definition import errors_in, fields_of
 from sato.scenario.errors import InputError, join_names
+from sato.scenario.ranges import MANY_SHORT_STEPS, doubt_long
 
 if TYPE_CHECKING:
     from sato.connectivity.mission import Connectivity
@@ -196,7 +197,8 @@ def doubts(mission: "Connectivity") -> list[str]:
     """List doubts about a drawn mission: a fast leader, a stick that ends, a slow estimator."""
     speed, commanded = mission.limits.speed, mission.stick.speed
     period = mission.power_iteration.exchange_period
-    found = list[str]()
+    steps, unit = mission.duration / mission.step, "; are run.step_s and run.duration_s in s?"
+    found = doubt_long("run", steps, mission.step, f"as it says{unit}", MANY_SHORT_STEPS)
     if isinstance(mission.stick, RecordedStick):
         found += mission.stick.doubt_end(mission.duration)
     if commanded >= speed:

@@ -127,9 +127,7 @@ class RecordedStick(Stick):
             reason = f"must increase from one to the next, got {before:.12g} and then {after:.12g}"
             raise InputError("times_s", reason)
         if abs(self.times[0]) >= MILLISECONDS:
-            reason = (
-                f"begins at {self.times[0]:.4g} s, which are milliseconds or less of some clock"
-            )
+            reason = f"begins at {self.times[0]:.4g} s, milliseconds or less of some clock"
             raise InputError("times_s", f"{reason}; times in seconds would do")
 
     def draw(self, leader: Vector3, rng: np.random.Generator) -> "RecordedStick":
@@ -149,8 +147,8 @@ class RecordedStick(Stick):
         if first >= duration:
             raise InputError(
                 "times_s",
-                f"lie from {first:.10g} to {last:.10g} s, after the flight of {duration:g} s; times "
-                f"that are less by {first:.10g}, or a longer run.duration_s, would do",
+                f"lie from {first:.10g} to {last:.10g} s, after the flight of {duration:g} s; "
+                f"times that are less by {first:.10g}, or a longer run.duration_s, would do",
             )
 
     def doubt_end(self, duration: float) -> list[str]:
@@ -160,8 +158,8 @@ class RecordedStick(Stick):
         if last + usual >= duration or not speed:
             return []
         return [
-            f"the stick's recording ends at {last:.4g} s of {duration:g} s, and its last command of "
-            f"{speed:.3g} m/s holds until the end; a last row of zeros would let it go"
+            f"the stick's recording ends at {last:.4g} s of {duration:g} s, and its last command "
+            f"of {speed:.3g} m/s holds until the end; a last row of zeros would let it go"
         ]
 
     def without_file(self) -> "RecordedStick":

@@ -4,6 +4,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from sato.scenario.errors import InputError, round_up
+from sato.scenario.ranges import MANY_SHORT_STEPS, doubt_long
 from sato.shapes import Points
 
 if TYPE_CHECKING:
@@ -30,9 +31,16 @@ def check_swarm(mission: "Formation") -> None:
         raise InputError("swarm.start.positions_m", text)
 
 
-def memory_demand(agents: int) -> float:
+def memory_demand(mission: "Formation", agents: int) -> float:
     """Estimate the memory that a flight of so many agents takes, measured up to 800 [byte]."""
-    return 400.0 * agents**2
+    return 400.0 * agents**2 + 100.0 * agents * mission.supervision.time_limit / mission.step
+
+
+def duration_doubts(mission: "Formation") -> list[str]:
+    """List doubts about a flight that may take far more steps than others."""
+    longest, step = mission.supervision.time_limit, mission.step
+    reason = f"up to its limit of {longest:g} s; are control.step_s and that limit in s?"
+    return doubt_long("a flight", longest / step, step, reason, MANY_SHORT_STEPS)
 
 
 def check_clearance(mission: "Formation") -> None:

@@ -112,7 +112,7 @@ class Formation(Mission):
 
     def draw(self, rng: np.random.Generator) -> "Formation":
         """Return the mission with its start, formations, gains and coordinate frames drawn."""
-        check_memory(self.agents, feasibility.memory_demand)
+        check_memory(self.agents, lambda agents: feasibility.memory_demand(self, agents))
         with errors_in("swarm.start"):
             start = draw_start(self.start, self.agents, self.keep_out, rng)
         with errors_in("leg"):
@@ -123,7 +123,7 @@ class Formation(Mission):
 
     def warnings(self) -> list[str]:
         """List doubts about a drawn mission, a sentence each."""
-        return feasibility.separation_doubts(self)
+        return feasibility.separation_doubts(self) + feasibility.duration_doubts(self)
 
     def without_files(self) -> "Formation":
         """Return the same mission with the contents of files and fonts."""

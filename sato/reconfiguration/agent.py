@@ -142,9 +142,9 @@ class Agent:
             None from an agent that joins between two decisions.
 
         Raises:
-            ValueError: The time is near no instant; an instant was skipped, or begins before the decision of the last one is
-                made; the state is not one, or the first is too fast to stop within reach; or
-                neighbors have the same number or another leg.
+            ValueError: The time is near no instant; an instant was skipped, or begins before the
+                decision of the last one is made; the state is not one, or the first is too fast
+                to stop within reach; or neighbors have the same number or another leg.
             OutOfTargets: The network has more agents than there are targets.
         """
         instant = as_instant(self.mission, "time", time)

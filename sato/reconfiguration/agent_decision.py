@@ -57,7 +57,12 @@ from sato.reconfiguration.auction_opening import (
     has_dear_leftovers,
     is_forecast,
 )
-from sato.reconfiguration.bidding_rules import apply_bidding_rules, compute_epsilon, firm_penalty
+from sato.reconfiguration.bidding_rules import (
+    apply_bidding_rules,
+    compute_epsilon,
+    firm_penalty,
+    least_penalty,
+)
 from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
 from sato.reconfiguration.census import (
     Hello,
@@ -265,7 +270,8 @@ class Decision(NamedTuple):
     def _commit_in_orbit(self, choosing: Choosing) -> "Decision":
         choice, plan, i = choosing.choice, self.plans[self.number], self.number
         if self.context.instant == 0 and (met := choosing.find_met()) is not None:
-            refuse_start(*sorted((i, met.agent)), (choosing.message.clearance + met.clearance) / 2)
+            radius = (choosing.message.clearance + met.clearance) / 2
+            refuse_start(min(i, met.agent), max(i, met.agent), radius)
         committed = {i: stopping.Commitment(self.context.instant, choosing.offers.u[0, choice])}
         is_kept = choice == choosing.offers.last
         if choice == 0 or (is_kept and self.is_unclear):
@@ -419,11 +425,13 @@ class Decision(NamedTuple):
             return self._share_claims(flood.message)._begin_auction(flood)
         mission, table, memory = self.context.mission, self.table, self.context.memory
         assert table is not None
+        epsilon = compute_epsilon(mission, self.context.leg)
+        least = least_penalty(epsilon)
         firm, ranges = None, [terms.cost_range for terms in flood.message]
         if self.attempt == "firm":
-            firm = firm_penalty(ranges)
+            firm = firm_penalty(ranges, least)
         is_near = np.isin(np.arange(memory.claim_step.shape[1]), self.members)
-        cost = apply_bidding_rules(table, memory, self.number, is_near, firm)
+        cost = apply_bidding_rules(table, memory, self.number, is_near, firm, least=least)
         count = np.array(max(terms.target_count for terms in flood.message))
         order = np.arange(len(cost))
         if self.blocked:
@@ -431,7 +439,6 @@ class Decision(NamedTuple):
         if counts_members(mission):
             count = count_targets(count, np.array(len(self.members)), len(cost))
         cost, m = cost[order], int(count)
-        epsilon = compute_epsilon(mission, self.context.leg)
         VsdaaAuction(cost[None], ALONE, count[None], epsilon)  # checks its data
         opening = Opening.empty(1, len(cost))
         if is_forecast(mission, self.context.leg) and not self.is_unpriced:

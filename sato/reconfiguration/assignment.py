@@ -19,7 +19,7 @@ from sato.reconfiguration.auction_opening import (
     has_dear_leftovers,
     is_forecast,
 )
-from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon
+from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon, least_penalty
 from sato.reconfiguration.blocked_targets import agree_on_blocked, find_all_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.mission import Reconfiguration
@@ -170,6 +170,7 @@ def run_auction(
     """
     mission, graph, memory = context.mission, context.graph, context.memory
     epsilon, live = compute_epsilon(mission, context.leg), np.flatnonzero(graph.alive)
+    least = least_penalty(epsilon)
     table, solves = compute_costs(context), 0
     count, order = memory.target_count, np.arange(len(context.leg.targets))
     if blocked is not None:
@@ -179,7 +180,7 @@ def run_auction(
     order = np.broadcast_to(order, table.cost.shape)
 
     def make(opening: Opening | None) -> VsdaaAuction:
-        bids = compute_bid_costs(table, memory, graph, is_firm, mission.printed)
+        bids = compute_bid_costs(table, memory, graph, is_firm, mission.printed, least)
         cost = np.take_along_axis(bids, order, axis=1)
         return VsdaaAuction(cost, graph, count, epsilon, mission.bidder_ids, opening)
 

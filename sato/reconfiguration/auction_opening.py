@@ -28,7 +28,12 @@ from problems.assignment import least_prices
 from sato.auctions import VsdaaAuction, assign_centrally
 from sato.auctions.vsdaa import Opening
 from sato.network.graph import CommunicationGraph
-from sato.reconfiguration.bidding_rules import apply_bidding_rules, compute_epsilon, firm_penalty
+from sato.reconfiguration.bidding_rules import (
+    apply_bidding_rules,
+    compute_epsilon,
+    firm_penalty,
+    least_penalty,
+)
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -112,10 +117,15 @@ def forecast_alone(
     graph = CommunicationGraph(~np.eye(count, dtype=bool), np.ones(count, dtype=bool))
     known = context._replace(graph=graph, state=np.array([*states.values()]), memory=memory)
     table, rows = compute_costs(known._replace(solvers=())), range(count)
-    firm = firm_penalty([cost_range(table, i)[1] for i in rows]) if is_firm else None
+    epsilon = compute_epsilon(context.mission, context.leg)
+    ranges, least = [cost_range(table, i)[1] for i in rows], least_penalty(epsilon)
+    firm = firm_penalty(ranges, least) if is_firm else None
     is_near = np.isin(np.arange(target.shape[1]), members)
-    cost = np.array([apply_bidding_rules(table, memory, i, is_near, firm) for i in rows])
-    m, epsilon = np.full(count, target_count), compute_epsilon(context.mission, context.leg)
-    opening = forecast_opening(VsdaaAuction(cost[:, order], graph, m, epsilon))
+    cost = np.array(
+        [apply_bidding_rules(table, memory, i, is_near, firm, least=least) for i in rows]
+    )
+    opening = forecast_opening(
+        VsdaaAuction(cost[:, order], graph, np.full(count, target_count), epsilon)
+    )
     own_row = [members.index(number)]
     return Opening(opening.price[own_row], opening.target_index[own_row])

@@ -17,7 +17,8 @@ from sato.scenario.definition import is_auto
 
 RELATIVE_EPSILON = 0.01  # ε over the extent of the shape, where no tie-break gives a scale
 HELD_TARGET_DISCOUNT = 0.02  # on the target that an agent holds, of its range of costs
-MIN_PENALTY = 1.0  # least penalty on a target to be left alone [m]
+MIN_PENALTY = 1.0  # least penalty on a target to be left alone [m], but in a tiny mission
+MAX_INCREMENTS = 1e6  # of ε in the extent of the shape, or in the least penalty
 
 
 def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
@@ -28,11 +29,20 @@ def compute_epsilon(mission: Reconfiguration, leg: Leg) -> float:
         return 1.0  # nobody bids, and an agent may know its own target alone
     position = leg.targets[:, : mission.axes]
     weight = 1.0 if bids_energy(mission) else mission.tie_break
+    extent = float(np.linalg.norm(np.ptp(position, axis=0)))
     if weight == 0:
-        extent = float(np.linalg.norm(np.ptp(position, axis=0)))
         return RELATIVE_EPSILON * (extent if extent > 0 else 1.0)
     spacing = min_distance(position)
-    return 0.5 * weight * (spacing if isfinite(spacing) else 1.0) ** 2
+    increment = 0.5 * weight * (spacing if isfinite(spacing) else 1.0) ** 2
+    return increment if bids_energy(mission) else max(increment, extent / MAX_INCREMENTS)
+
+
+def least_penalty(epsilon: float) -> float:
+    """Return the least penalty on a target to be left alone [m].
+
+    Prices rise to it by ε a round.
+    """
+    return min(MIN_PENALTY, MAX_INCREMENTS * epsilon)
 
 
 def compute_bid_costs(
@@ -41,6 +51,7 @@ def compute_bid_costs(
     graph: CommunicationGraph,
     is_firm: Bool[Array, " agents"] | None = None,
     is_printed: bool = False,
+    least: float = MIN_PENALTY,
 ) -> Float[Array, "agents targets"]:
     """Compute the costs by which each agent bids, see `apply_bidding_rules`."""
     bid = table.cost.copy()
@@ -48,14 +59,14 @@ def compute_bid_costs(
     for i in np.flatnonzero(graph.alive).tolist():
         is_near = graph.component == graph.component[i]
         is_own_firm = is_firm is not None and is_firm[i]
-        firm = firm_penalty(ranges[is_near].tolist()) if is_own_firm else None
-        bid[i] = apply_bidding_rules(table, memory, i, is_near, firm, is_printed)
+        firm = firm_penalty(ranges[is_near].tolist(), least) if is_own_firm else None
+        bid[i] = apply_bidding_rules(table, memory, i, is_near, firm, is_printed, least)
     return bid
 
 
-def firm_penalty(ranges: Sequence[float]) -> float:
+def firm_penalty(ranges: Sequence[float], least: float = MIN_PENALTY) -> float:
     """Compute a penalty that no exchange of targets is worth, from the ranges of a component."""
-    return 2 * len(ranges) * max(*ranges, MIN_PENALTY)
+    return 2 * len(ranges) * max(*ranges, least)
 
 
 def apply_bidding_rules(
@@ -65,6 +76,7 @@ def apply_bidding_rules(
     is_near: Bool[Array, " others"],
     firm: float | None,
     is_printed: bool = False,
+    least: float = MIN_PENALTY,
 ) -> Float[Array, " targets"]:
     """Apply three rules to the costs of one agent.
 
@@ -87,11 +99,12 @@ def apply_bidding_rules(
         is_near: True for the numbers of the agents in its component.
         firm: Firm penalty on targets out of reach; None where it is not called for.
         is_printed: Apply the first rule alone: the printed auction has neither of the others.
+        least: Least penalty of the other two, see `least_penalty`.
     """
     bid: Array = table.cost[i].copy()
     is_reachable = table.is_reachable[i]
     top, span = cost_range(table, i)
-    penalty = max(span, MIN_PENALTY)
+    penalty = max(span, least)
     bid[~is_reachable] += top + (penalty if firm is None else firm)
     if is_printed:
         return bid

@@ -62,6 +62,8 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         known = targets if mission.uses_all_targets(leg) else targets[: demand[k]]
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=as_listed_points(start), legs=tuple(legs))
+    check_memory(mission.agent_count, lambda n: feasibility.memory_demand(drawn, n))
+    feasibility.check_programs(drawn)
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
     own_motion.try_plant(drawn.flown_plant, drawn.initial_states, drawn.step)
     drawn = _resolve(drawn, departures, factors, demand)

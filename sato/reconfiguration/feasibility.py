@@ -10,6 +10,7 @@ from sato.reconfiguration import link_feasibility, passive_requirements
 from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
+from sato.scenario.ranges import doubt_long, machine_memory
 
 if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
@@ -275,6 +276,41 @@ def memory_demand(mission: "Reconfiguration", agents: int) -> float:
         demand = max(demand, 8.0 * PAIR_TABLES * agents * max(agents, leg.count or 0))
         frames += 300.0 * steps * agents
     return demand + frames
+
+
+def check_programs(mission: "Reconfiguration") -> None:
+    """Refuse a drawn mission whose legs are too long for the programs of its transfers.
+
+    Their matrices have a row for each state of each step, and a column for each control.
+
+    Raises:
+        InputError: A leg is; says how many steps would do.
+    """
+    d, limit = mission.axes, machine_memory()
+    for number, leg in enumerate(mission.legs):
+        demand = 8.0 * 2 * d * d * float(leg.steps) ** 2
+        if demand > limit:
+            fits = int((limit / demand) ** 0.5 * leg.steps)
+            raise InputError(
+                f"leg.{number}.steps",
+                f"a transfer of {leg.steps:,} steps takes about {demand / 1e9:,.0f} GB of memory, "
+                f"and there are {limit / 1e9:,.0f} GB; {fits} steps or fewer would do, a longer "
+                "plan.step_s, or limits in m/s and m/s² for positions in m",
+            )
+
+
+def list_doubts(mission: "Reconfiguration") -> list[str]:
+    """List legs of a drawn mission that are so long that a unit is likely to be wrong."""
+    doubts, before = list[str](), mission.initial_states[:, : mission.axes]
+    for number, leg in enumerate(mission.legs):
+        places = leg.targets[:, : mission.axes]
+        far = float(np.ptp(np.vstack([before, places]), axis=0).max())
+        speed, control = mission.top_speeds.max(), mission.largest_control.max()
+        reason = f"for up to {far:.4g} m at up to {speed:.3g} m/s and {control:.3g} m/s²"
+        reason += "; are the positions in m, and the limits in m/s and m/s²?"
+        doubts += doubt_long(f"leg.{number}", leg.steps, mission.step, reason)
+        before = places
+    return doubts
 
 
 def _list_events(leg: Leg) -> list[Join | Loss]:

@@ -319,7 +319,7 @@ class Reconfiguration(PlannedLimits, Mission):
         """List doubts about a drawn mission, a sentence each."""
         from sato.reconfiguration import tolerances
 
-        doubts = link_feasibility.list_doubts(self)
+        doubts = feasibility.list_doubts(self) + link_feasibility.list_doubts(self)
         if self.tracking is not None:
             return doubts + tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:

@@ -22,7 +22,7 @@ MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
 PROGRAM_TIME = 2e-3, 5e-5, 4e-7  # of a program, by powers of its steps [s]
 LINEAR = 0.15  # of the time of a program with cones
 INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
-STEP_TIME = 4e-4  # in which a step of a model that changes with time is discretized [s]
+STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 
@@ -67,13 +67,12 @@ class Budget:
         return is_reachable
 
     def spend_on_model(self, departure: Departure, steps: int) -> None:
-        """Take the time in which the model is discretized.
+        """Take the time in which a model is discretized, and its matrices are made.
 
         Raises:
             Undecided: There is less.
         """
-        if not departure.mission.linear_model.is_time_invariant:
-            self.spend(STEP_TIME * steps)
+        self.spend(STEP_TIME[departure.mission.linear_model.is_time_invariant] * steps)
 
 
 class ControlBounds(NamedTuple):

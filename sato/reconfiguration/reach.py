@@ -122,9 +122,11 @@ class _Search:
     def is_enough(self, steps: float, factor: float = 1.0, trusts_bounds: bool = False) -> bool:
         steps, departure = int(steps), self.departure
         try:
-            self.budget.spend_on_model(departure, steps)
+            targets = self.targets_after(steps)
+            if not are_at_rest(departure, targets):
+                self.budget.spend_on_model(departure, steps)
             own = steps, factor, self.bounds, self.budget
-            return find_stranded(departure, self.targets_after(steps), *own) is None
+            return find_stranded(departure, targets, *own) is None
         except Undecided as undecided:
             return trusts_bounds and undecided.is_too_large
 

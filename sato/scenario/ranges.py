@@ -9,6 +9,8 @@ from pathlib import Path
 from dynamics.inputs import check_range as check_range
 from sato.scenario.errors import InputError
 
+MANY_STEPS = 5000  # of a leg, beyond which a unit is likely to be wrong
+MANY_SHORT_STEPS = 500_000  # the same of control loops with steps of some 20 ms
 CONTROL_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
@@ -22,6 +24,24 @@ def check_memory(agents: int, demand: Callable[[int], float]) -> None:
     shorter = "fewer steps or targets, or a shorter flight, would do"
     cure = f"{fits} would do" if fits > 1 else shorter
     raise InputError("swarm.agents", f"{reason}, and there are {limit / 1e9:,.0f} GB; {cure}")
+
+
+def doubt_long(
+    where: str, steps: float, step: float, reason: str, most: int = MANY_STEPS
+) -> list[str]:
+    """Doubt a flight that is so long that a number is likely to be in another unit.
+
+    Args:
+        where: Key of what is long.
+        steps: Control steps that it takes.
+        step: Length of a step [s].
+        reason: Numbers that make it long.
+        most: Steps up to which it is not doubted.
+    """
+    if steps <= most:
+        return []
+    hours = f"{steps * step / 3600:.3g} h"
+    return [f"{where} takes {steps:,.0f} steps of {step:g} s ({hours}), {reason}"]
 
 
 def machine_memory() -> float:

@@ -1,0 +1,45 @@
+"""Notice of compilation: one line on the error stream as soon as kernels are compiled."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from numba.core import event
+
+NOTICE = "compiling kernels, once after an installation: about 10 s"
+
+
+class _Notice(event.Listener):  # type: ignore[misc]  # numba has no types
+    def __init__(self) -> None:
+        self.is_given = False
+
+    def on_start(self, event: object) -> None:
+        """Print the notice when the first kernel is compiled, and not read from the cache."""
+        if not self.is_given:
+            self.is_given = True
+            print(NOTICE, file=sys.stderr, flush=True)
+
+    def on_end(self, event: object) -> None:
+        """Do nothing."""
+
+
+@contextmanager
+def announce_compilation(is_shown: bool = True) -> Iterator[None]:
+    """Print a line when kernels are compiled in a block, which takes seconds; once a process.
+
+    Args:
+        is_shown: True for the line; else there is none.
+    """
+    if not is_shown or _notice.is_given:
+        yield
+        return
+    with event.install_listener("numba:compile", _notice):
+        yield
+
+
+def announce_all() -> None:
+    """Print a line when this process first compiles kernels, as a worker of a campaign may."""
+    event.register("numba:compile", _notice)
+
+
+_notice = _Notice()
