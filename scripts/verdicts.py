@@ -41,9 +41,9 @@ from sato.cli import app
 from sato.record import RunFileError
 from sato.runs import Run
 
-POINTS = 40  # between two instants, at which distances are measured
+FINE = 0.002  # between two measurements of distances [s]
 CLOSE = 0.995  # of the distance that is kept, below which it counts as a collision
-ALIKE = 2e-3  # relative difference of a distance from the one that is measured
+ALIKE = 2e-3  # difference of a distance from the one that is measured, relative and [m]
 PLACES = ("python", "summary", "repr", "html", "player", "check", "exit code", "campaign", "run")
 Words = list[str]
 Forge = Callable[[Run, Generator], Run]
@@ -74,7 +74,7 @@ def measure(data: Any, kept: float, axes: list[float] | None = None) -> Contact:
     if data.attrs["system"] == "formation":
         p = p[..., :2]
     scaled = p / np.array(axes if axes else [1.0] * p.shape[2])
-    fine = np.linspace(time[0], time[-1], POINTS * (len(time) - 1) + 1)
+    fine = np.linspace(time[0], time[-1], round((time[-1] - time[0]) / FINE) + 1)
     if data.attrs["system"] == "reconfiguration":
         v = data["velocity"].values / np.array(axes if axes else [1.0] * p.shape[2])
         path = CubicHermiteSpline(time, scaled, v)(fine)
@@ -316,7 +316,9 @@ def names_contact(line: str, contact: Contact) -> bool:
         return False
     value, time = float(first.split()[2]), float(first.rsplit(" at ", 1)[1].split()[0])
     wanted = contact.ratio if "ellipsoid" in first else contact.distance
-    return bool(np.isclose(value, wanted, rtol=ALIKE) and abs(time - contact.time) < 0.1)
+    return bool(
+        np.isclose(value, wanted, rtol=ALIKE, atol=ALIKE) and abs(time - contact.time) < 0.1
+    )
 
 
 def ask(case: Case, table: CampaignTable, row: int) -> dict[str, bool]:
