@@ -192,6 +192,17 @@ def _find_place(error: BaseException, function: Any) -> str:
     return f"{Path(known[-1][0]).name}:{known[-1][1]}" if known else ""
 
 
+def freeze(value: Any) -> Any:
+    """Return a value, of whose arrays none can be written to from now on."""
+    if isinstance(value, Array):
+        value.flags.writeable = False
+    for part in (
+        value if isinstance(value, tuple | list) else getattr(value, "__dict__", {}).values()
+    ):
+        freeze(part)
+    return value
+
+
 def _protect(value: Any) -> Any:
     if not isinstance(value, Array) or value.dtype == object:
         return value

@@ -16,6 +16,7 @@ from sato.interfaces import System
 
 END = object()  # after the last frame
 
+
 def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]:
     """Fly a drawn mission, and yield frames whose arrays cannot be written to.
 
