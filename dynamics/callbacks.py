@@ -75,7 +75,7 @@ def call(
     name: str,
     function: Callable[..., Any],
     *arguments: Any,
-    passes: type[Exception] | tuple[type[Exception], ...] = CallbackError,
+    passes: tuple[type[Exception], ...] = (CallbackError,),
     check: Callable[[Any], Any] | None = None,
     **options: Any,
 ) -> Any:
@@ -96,6 +96,8 @@ def call(
         options = {key: _protect(value) for key, value in options.items()}
         result = function(*map(_protect, arguments), **options)
     except passes:
+        raise
+    except MemoryError:
         raise
     except Exception as error:
         where = f" ({place})" if (place := _find_place(error, function)) else ""
@@ -172,7 +174,7 @@ def _guard_method(name: str, method: Any, callback: Callback) -> Any:
             return bound(*arguments, **options)
         time = given.get("t")
         when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
-        full, passes = f"{type(self).__name__}.{name}{when}", callback.passes
+        full, passes = f"{type(self).__name__}.{name}{when}", (callback.passes,)
 
         def check(result: Any) -> Any:
             return callback.check(self, given, result)
@@ -190,6 +192,17 @@ def _find_place(error: BaseException, function: Any) -> str:
     places += [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__)]
     known = [place for place in places if not place[0].startswith(_FOREIGN)]
     return f"{Path(known[-1][0]).name}:{known[-1][1]}" if known else ""
+
+
+def freeze(value: Any) -> Any:
+    """Return a value, of whose arrays none can be written to from now on."""
+    if isinstance(value, Array):
+        value.flags.writeable = False
+    for part in (
+        value if isinstance(value, tuple | list) else getattr(value, "__dict__", {}).values()
+    ):
+        freeze(part)
+    return value
 
 
 def _protect(value: Any) -> Any:

@@ -22,6 +22,7 @@ from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces, Rows, empty_half_spaces
 from problems.limit import Limit
+from problems.solvers.own import ask
 from problems.solvers.verified import solve_program
 from problems.transfer import (
     Solver,
@@ -333,7 +334,7 @@ def solve_condensed(
         program = assemble(limited)
         if program.P is not None:
             program = replace(program, q=program.q / unit, P=program.P / unit)
-        unknowns = np.split(problems[0].solver(program).x, np.cumsum(sizes))
+        unknowns = np.split(ask(problems[0].solver, program).x, np.cumsum(sizes))
         found = [own.extract_trajectory(x) for own, x in zip(problems, unknowns, strict=False)]
         violated = [
             np.setdiff1d(np.flatnonzero(own.transfer.is_too_fast(trajectory.x)) + 1, known)

@@ -11,6 +11,7 @@ from scipy.sparse import csc_array
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces
+from problems.solvers.own import ask
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 
@@ -80,7 +81,7 @@ class SafetyFilterProblem:
         return replace(self, transfer=self.transfer.slow_down(factor))._solve()
 
     def _solve(self) -> Trajectory:
-        limit, unknowns = self.transfer.control_limit, self.solver(self.assemble_conic()).x
+        limit, unknowns = self.transfer.control_limit, ask(self.solver, self.assemble_conic()).x
         plus, minus = unknowns[: self._controls], unknowns[self._controls : 2 * self._controls]
         u = limit.most * (plus - minus).reshape(-1, limit.axes) * limit.shares
         return self.transfer.simulate(self.start, limit.cut(u))

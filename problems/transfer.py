@@ -18,6 +18,7 @@ from dynamics.doors import checked
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
 from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
+from problems.solvers.own import ask
 from problems.solvers.verified import solve_program
 
 Objective = Literal["fuel", "energy"]
@@ -388,7 +389,7 @@ def solve_cvxpy(owner: object, problem: Any, solver: Solver = solve_program) -> 
     conic = ConicProgram(q, A, b, dims.zero, dims.nonneg, tuple(dims.soc), P=P)
     name = type(owner).__name__
     try:
-        found = solver(conic)
+        found = ask(solver, conic)
     except Infeasible as error:
         raise Infeasible(owner, f"{name} is infeasible: {error}", error.ray) from error
     except Unsolved as error:

@@ -49,11 +49,13 @@ EXCEPTIONS = (
 
 # Faults: of the arguments and the right result, and a memory, to what is returned.
 def raise_exception(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Raise an exception in place of the result."""
     kind = memory.setdefault("kind", EXCEPTIONS[rng.integers(len(EXCEPTIONS))])
     raise kind(*["a fault of mine", ""][: memory.setdefault("words", int(rng.integers(3)))])
 
 
 def write_in_place(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Write into the arrays that are given."""
     for value in arguments:
         if isinstance(value, np.ndarray) and value.size:
             value += 0.25
@@ -61,6 +63,7 @@ def write_in_place(rng: Generator, arguments: list[Any], result: Any, memory: di
 
 
 def write_by_force(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Write into them once they are made writeable."""
     for value in arguments:
         if isinstance(value, np.ndarray) and value.size:
             value.flags.writeable = True
@@ -69,6 +72,7 @@ def write_by_force(rng: Generator, arguments: list[Any], result: Any, memory: di
 
 
 def keep_buffer(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Return a buffer, and write into it at the next call."""
     if not isinstance(result, np.ndarray):
         return result
     for before in memory.setdefault("returned", []):
@@ -129,11 +133,13 @@ SYMBOLIC: tuple[Callable[[Any], Any], ...] = (
 
 
 def return_other(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Return something else."""
     other = OTHERS[memory.setdefault("other", rng.integers(len(OTHERS)))]
     return other(result)
 
 
 def spoil_array(rng: Generator, arguments: list[Any], result: Any, memory: dict) -> Any:
+    """Return an array, or one of several, that is not as it should be."""
     spoil = ARRAYS[memory.setdefault("spoil", rng.integers(len(ARRAYS)))]
     if isinstance(result, np.ndarray) and result.ndim and result.size:
         return spoil(result)
@@ -166,12 +172,12 @@ class Fault:
         return self.spoil(self.rng, arguments, result, self.memory)
 
 
-# ----------------------------------------------------------------------------------------
 ANGLE = np.arange(3) * 2 * np.pi / 3
 RING = np.c_[np.cos(ANGLE), np.sin(ANGLE)]
 
 
 def mission(**changes: Any) -> Any:
+    """Make a small mission."""
     plain = dict(
         model=sato.DoubleIntegrator(2),
         start=2 * RING,
@@ -186,10 +192,13 @@ def mission(**changes: Any) -> Any:
 
 
 def drag(t: float) -> np.ndarray:
+    """Compute the matrix of linear drag."""
     return np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 2)), -0.1 * np.eye(2)]])
 
 
 def fly_linear(fault: Fault, name: str) -> Any:
+    """Fly a linear model."""
+
     class Own(sato.LinearModel):
         axes = 2
 
@@ -212,6 +221,8 @@ def fly_linear(fault: Fault, name: str) -> Any:
 
 
 def fly_nonlinear(fault: Fault, name: str) -> Any:
+    """Fly a nonlinear model."""
+
     class Own(sato.NonlinearModel):
         axes = 2
 
@@ -234,6 +245,8 @@ def fly_nonlinear(fault: Fault, name: str) -> Any:
 
 
 def fly_symbolic(fault: Fault, name: str) -> Any:
+    """Fly a model of symbols."""
+
     def expression(t: Any, x: Any, u: Any) -> Any:
         speed = casadi.sqrt(1 + casadi.sumsqr(x[2:]))
         return fault.of([], casadi.vertcat(x[2:], u - 0.1 * speed * x[2:]))
@@ -242,6 +255,8 @@ def fly_symbolic(fault: Fault, name: str) -> Any:
 
 
 def fly_plant(fault: Fault, name: str) -> Any:
+    """Fly a plant."""
+
     class Own(sato.Plant):
         def propagate(self, x: Any, u: Any, t: float, dt: float, substeps: int = 1) -> Any:
             states, h, now = [x], dt / substeps, x
@@ -259,6 +274,8 @@ def fly_plant(fault: Fault, name: str) -> Any:
 
 
 def fly_solver(fault: Fault, name: str) -> Any:
+    """Plan by a solver."""
+
     class Own:
         def __init__(self, program: Any, tolerance: float) -> None:
             self.program, self.session = program, load_adapters()["clarabel"].session_factory
@@ -276,6 +293,8 @@ def fly_solver(fault: Fault, name: str) -> Any:
 
 
 def fly_watched(fault: Fault, name: str) -> Any:
+    """Watch a flight."""
+
     def watch(mission: Any, frame: Any) -> Any:
         for event in frame.events:
             event.clear()
@@ -285,6 +304,8 @@ def fly_watched(fault: Fault, name: str) -> Any:
 
 
 def fly_stick(fault: Fault, name: str) -> Any:
+    """Steer a team by a stick."""
+
     class Own(WaypointStick):
         def command_velocity(self, time: float, position: Any, reached: int) -> Any:
             found = super().command_velocity(time, position, reached)
@@ -300,6 +321,8 @@ def fly_stick(fault: Fault, name: str) -> Any:
 
 
 def fly_shape(fault: Fault, name: str) -> Any:
+    """Fly to a shape."""
+
     class Own(Points):
         def draw(self, count: int, axes: int) -> Any:
             found = Drawing(-2.2 * RING[:count], np.zeros(2))
@@ -313,6 +336,7 @@ def fly_shape(fault: Fault, name: str) -> Any:
 
 
 def fly_system(fault: Fault, name: str) -> Any:
+    """Fly a system."""
     from sato.reconfiguration.loop import simulate as fly_library
     from sato.reconfiguration.system import SYSTEM
 
@@ -352,6 +376,8 @@ def fly_trial(fault: Fault, name: str) -> Any:
 
 
 class Subject(NamedTuple):
+    """Function or method of a user's own, and the flight that calls it."""
+
     fly: Callable[[Fault, str], Any]
     method: str
     name: str  # in our sentences
@@ -374,6 +400,8 @@ SUBJECTS = [
 
 @dataclass
 class Truth:
+    """What a right callback flies."""
+
     states: Any  # of the right callback
     cells: dict[str, Any]
     calls: int

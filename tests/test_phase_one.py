@@ -1,5 +1,6 @@
 """Least violation of the cones, and certificates of infeasibility from its duals."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -93,13 +94,15 @@ def broken(monkeypatch):
 def test_an_exception_of_a_solver_is_a_rejected_answer(rng, broken, error):
     broken(error)
     chosen, (problem, _, _) = VerifiedSolver("broken"), random_program(rng)
-    np.testing.assert_array_equal(chosen(problem).x, solve(problem, solve_clarabel).x)
-    assert chosen.fallback_count == 1
-    assert chosen.last_rejection == (
-        f"broken: stopped ({type(error).__name__}: {error}), without a point and its duals"
-    )
+    said = rf"Raising\.solve raised {type(error).__name__}: {error} \(test_phase_one\.py:\d+\)"
+    with pytest.warns(UserWarning, match=rf"^{said}; the default solver answers in its place"):
+        found = chosen(problem)
+    np.testing.assert_array_equal(found.x, solve(problem, solve_clarabel).x)
+    assert chosen.fallback_count == chosen.error_count == 1
+    wanted = rf"broken: stopped \({said}\), without a point and its duals"
+    assert re.fullmatch(wanted, chosen.last_rejection)
     unbounded = replace(problem, q=problem.q - 1e3 * np.ones(8), A=0 * problem.A, b=0 * problem.b)
-    with pytest.raises(Unsolved, match=r"broken: stopped \(\w+: .*; clarabel: stopped"):
+    with pytest.raises(Unsolved, match=r"broken: stopped \(Raising.*; clarabel: stopped"):
         chosen(unbounded)
 
 

@@ -7,9 +7,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.callbacks import as_kind, as_shape, call
+from dynamics.callbacks import CallbackError, as_kind, as_shape, call, is_own
 from dynamics.inputs import InputError
-from problems.conic import ConicProgram, SolverResult, Status
+from problems.conic import (
+    TOLERANCE,
+    ConicProgram,
+    ConicSolution,
+    SolverResult,
+    Status,
+    Unsolved,
+)
 
 RESULT = 'SolverResult("solved", message, x, y, iterations)'
 
@@ -41,3 +48,29 @@ class OwnSession:
         x, y = (None if part is None else as_shape(part, (size,)) for part, size in sized)
         count = as_kind(numbers[2], int | float | np.number | None, f"{RESULT}, of a whole number")
         return SolverResult(status, str(message), x, y, None if count is None else int(count))
+
+
+def ask(solver: Any, program: ConicProgram) -> ConicSolution:
+    """Solve by a function of a program; verify the answer of one of the user's own.
+
+    Raises:
+        Unsolved: There is no answer, or it fails verification.
+        CallbackError: A function of the user's own raised, or returned no answer.
+    """
+
+    def check(found: Any) -> ConicSolution:
+        as_kind(found, ConicSolution | SolverResult, "a ConicSolution")
+        x, y = as_shape(found.x, program.q.shape), as_shape(found.y, program.b.shape)
+        return ConicSolution.evaluate(program, x, y)
+
+    if not is_own(solver):
+        solution: ConicSolution = solver(program)
+        return solution
+    name, passes = getattr(solver, "__qualname__", type(solver).__name__), (CallbackError, Unsolved)
+    solution = call(name, solver, deepcopy(program), passes=passes, check=check)
+    if not solution.max_residual <= TOLERANCE:
+        reason = (
+            f"{name}: residuals or the gap are {solution.max_residual:.1e}, above {TOLERANCE:.0e}"
+        )
+        raise Unsolved(program, reason)
+    return solution

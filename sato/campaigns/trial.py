@@ -71,7 +71,7 @@ class Trial(NamedTuple):
         source: Any = self.source
         if isinstance(source, str):
             name, rng = source, generator(*self.stream, 1)
-            source = call(name, find_function(name), rng, passes=InputError, check=_check_source)
+            source = call(name, find_function(name), rng, passes=(InputError,), check=_check_source)
         if isinstance(source, Mission):
             if not self.parameters:
                 return source

@@ -30,7 +30,7 @@ class World:
     def __init__(self, mission: Reconfiguration, rng: np.random.Generator) -> None:
         self.mission, self.rng = mission, rng
         self.leg_index = self.step_index = self.leg_start = 0
-        self.x, self.alive = mission.initial_states, mission.alive
+        self.x, self.alive = mission.initial_states.copy(), mission.alive
         self.surroundings = find_surroundings(mission)
         self.committed: Commitments = dict(find_first_commitments(mission))
         self.intended: Commitments = {}  # what is flown from a later instant on

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
+from dynamics.callbacks import freeze
 from dynamics.doors import checked
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
@@ -158,7 +159,7 @@ class Agent:
         if before is not None and self.memory.under_way is before:
             self.memory = self._go_on(before, received)
         assert self.memory.control is not None
-        return self.memory.control.copy(), self._message
+        return self.memory.control.copy(), freeze(self._message)
 
     def set_targets(
         self,

@@ -71,7 +71,7 @@ class _Flight:
         self.mission, self.rng = mission, rng
         self.leg, self.leg_index, self.step_index = mission.legs[0], 0, 0
         self.events: list[state.Event] = []  # since the last frame
-        self.x, self.alive = mission.initial_states, mission.alive
+        self.x, self.alive = mission.initial_states.copy(), mission.alive
         self.estimate = estimator.Estimate.none(len(self.x), mission.axes)
         # An agent that joins later knows of itself alone, and learns m from those that it meets.
         m = np.where(self.alive, mission.target_count or int(self.alive.sum()), 1)

@@ -394,9 +394,7 @@ class Reconfiguration(PlannedLimits, Mission):
     def initial_states(self) -> Float[Array, "agents n"]:
         """States in which all agents start, in SI units, those that join last; once drawn."""
         joins = [states_of(join.start) for leg in self.legs for join in leg.joins]
-        states = np.concatenate([states_of(self.start), *joins])
-        states.flags.writeable = False
-        return states
+        return np.concatenate([states_of(self.start), *joins])
 
     def uses_all_targets(self, leg: Leg) -> bool:
         """Tell whether agents look at all targets of a leg, and not only at the first m."""
