@@ -15,12 +15,13 @@ Evidence is one of
 
     tests/test_x.py::test_law     a test that fails if the claim is false
     campaigns/x.toml, scripts/x.py   what measures the number, or the table
+    sato run orbit                a run of a built-in scenario, whose summary or figures say it
     sato/x.py::name               the line of code that makes it so
     docs/safety.md#proof          a proof, or a table of the pages that says it
     [Morgan2016]                  a statement of a work of the bibliography
     inline                        the sentence itself names its test, script, campaign or file
     page                          scripts of this page, which tests/test_pages.py runs
-    definition                    no claim: it says what a word, a key or a symbol means, or what to do
+    definition                    no claim: the meaning of a word, key or symbol, or what to do
     arithmetic                    follows from numbers that stand beside it
     unrepeated                    measured once; no script of the repository repeats it
 
@@ -87,7 +88,7 @@ def pages() -> list[Path]:
 
 
 def strip(text: str) -> str:
-    """Take away blocks of code, formulas and what scripts write; links and images keep their words."""
+    """Take away code, formulas and what scripts write; links keep their words."""
     text = re.sub(r"<!-- written by .*?<!-- end -->", "\n", text, flags=re.DOTALL)
     text = re.sub(r"^(```+|~~~+|:::+).*?^\1", "\n", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -173,14 +174,16 @@ def is_there(evidence: str, claim: Claim) -> bool:
     if evidence == "inline":
         named = NAMED.findall(claim.text.replace("../", ""))
         named += [f"docs/{name}" for name in re.findall(r"⟨(\w[\w-]+\.md)", claim.text)]
-        laws = re.findall(r"`(test_\w+)`", claim.text)
-        return bool(named or laws) and all((ROOT / path).exists() for path in named)
+        other = re.findall(r"`(test_\w+|sato [^`]+)`", claim.text)
+        return bool(named or other) and all((ROOT / path).exists() for path in named)
     if evidence == "page":
         return "```python" in _text(claim.page) or "```sh" in _text(claim.page)
     if evidence in CLASSES:
         return True
     if evidence.startswith("["):
         return f"- {evidence}" in _text("docs/bibliography.md")
+    if flown := re.match(r"sato run (\w+)", evidence):
+        return bool(_text(f"sato/scenarios/{flown[1]}.toml"))
     path, separator, name = evidence.partition("::" if "::" in evidence else "#")
     if separator == "#":
         return name in _anchors(path)

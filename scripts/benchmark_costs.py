@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csc_array, eye_array, vstack
 from threadpoolctl import threadpool_limits
+from written_tables import write_table
 
 from dynamics import ClohessyWiltshire, DiscreteModel, DoubleIntegrator, discretize_zoh
 from problems.auction_cost import TransferCosts, compute_displacements, compute_transfer_costs
@@ -184,6 +185,7 @@ def main(
     ] = 100,
     seed: int = 0,
     cold: Annotated[bool, typer.Option(help="Also time the first call of a process.")] = True,
+    write: Annotated[bool, typer.Option("--write", help="Replace the table of the page.")] = False,
 ) -> None:
     """Print the table; exit 1 where a target is missed."""
     rng = np.random.default_rng(seed)
@@ -203,6 +205,8 @@ def main(
             style = "red" if failed else None
             table.add_row(case.name, *numbers, f"{r.error:.1e}", r.verified, style=style)
     Console(width=120).print(table)
+    if write:
+        write_table(table, "scripts/benchmark_costs.py")
     print(f"all costs on {os.cpu_count()} threads, Clarabel on one")
     if cold:
         nothing, cached = time_first_call()

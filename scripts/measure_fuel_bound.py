@@ -8,8 +8,13 @@ chief is below 0.999 of its bound.
 """
 
 import sys
+from typing import Annotated
 
 import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+from written_tables import ROOT, write_table
 
 import sato
 
@@ -41,16 +46,21 @@ def fly(distance: float, way: float) -> float:
     return float(ratio) if summary["reached"] else float("nan")
 
 
-def main() -> int:
+def main(
+    write: Annotated[bool, typer.Option("--write", help="Replace the table of the page.")] = False,
+) -> None:
     """Print the table."""
-    print("distance [km]: fuel over the bound, 2 km ahead and 2 km back")
+    table = Table("distance from the chief [km]", "fuel over bound, 2 km ahead", "2 km back")
     is_wrong = False
     for distance in DISTANCES:
         ratios = fly(distance, 2e3), fly(distance, -2e3)
-        print(f"{distance / 1e3:5g}: {ratios[0]:.4f}, {ratios[1]:.4f}", flush=True)
+        table.add_row(f"{distance / 1e3:g}", *(f"{ratio:.4f}" for ratio in ratios))
         is_wrong |= distance <= 2e3 and not min(ratios) > 0.999
-    return int(is_wrong)
+    Console().print(table)
+    if write:
+        write_table(table, "scripts/measure_fuel_bound.py", ROOT / "docs/orbit.md")
+    sys.exit(is_wrong)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    typer.run(main)
