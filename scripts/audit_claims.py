@@ -184,6 +184,8 @@ def is_there(evidence: str, claim: Claim) -> bool:
         return f"- {evidence}" in _text("docs/bibliography.md")
     if flown := re.match(r"sato run (\w+)", evidence):
         return bool(_text(f"sato/scenarios/{flown[1]}.toml"))
+    if evidence.startswith("sato "):
+        return f'"{evidence.split()[1]}"' in _text("sato/cli.py").replace("def ", '"').replace("(", '"')
     path, separator, name = evidence.partition("::" if "::" in evidence else "#")
     if separator == "#":
         return name in _anchors(path)
