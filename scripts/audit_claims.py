@@ -185,7 +185,9 @@ def is_there(evidence: str, claim: Claim) -> bool:
     if flown := re.match(r"sato run (\w+)", evidence):
         return bool(_text(f"sato/scenarios/{flown[1]}.toml"))
     if evidence.startswith("sato "):
-        return f'"{evidence.split()[1]}"' in _text("sato/cli.py").replace("def ", '"').replace("(", '"')
+        return f'"{evidence.split()[1]}"' in _text("sato/cli.py").replace("def ", '"').replace(
+            "(", '"'
+        )
     path, separator, name = evidence.partition("::" if "::" in evidence else "#")
     if separator == "#":
         return name in _anchors(path)
@@ -254,6 +256,8 @@ def kind_of(evidence: str) -> str:
         return evidence
     if evidence.startswith("["):
         return "paper"
+    if evidence.startswith("sato "):
+        return "command"
     folder = evidence.split("/")[0]
     return {"docs": "proof or table", "tests": "test"}.get(folder, folder)
 

@@ -157,18 +157,18 @@ def largest_error(costs: TransferCosts, pairs: np.ndarray, reference: np.ndarray
 
 COLD_START_CODE = """
 import time, numpy as np
-from dynamics import DoubleIntegrator, discretize_zoh
+from dynamics import ClohessyWiltshire, discretize_zoh
 from problems.auction_cost import compute_transfer_costs
 from problems.transfer import TransferProblem
-steps, x = discretize_zoh(DoubleIntegrator(2), 1.0, 80), np.zeros((123, 4))
-began = time.perf_counter()
-compute_transfer_costs(TransferProblem(steps, 0.3), x, x + 1.0)
-print(time.perf_counter() - began)
+steps, x = discretize_zoh(ClohessyWiltshire(1.1e-3), 60.0, 24), np.zeros((48, 6))
+began = time.process_time()
+compute_transfer_costs(TransferProblem(steps, 0.01), x, x + 1.0)
+print(time.process_time() - began)
 """
 
 
 def time_first_call() -> tuple[float, float]:
-    """Time the first costs of a process, without and with compiled code in the cache [s]."""
+    """Time the first costs in orbit of a process, without and with compiled code [s]."""
     with tempfile.TemporaryDirectory() as cache:
         env = os.environ | {"NUMBA_CACHE_DIR": cache}
         run = [sys.executable, "-c", COLD_START_CODE]

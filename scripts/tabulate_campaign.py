@@ -1,8 +1,11 @@
-"""Write the table of a campaign into the page of benchmarks: after `sato campaign run FILE`,
+"""Write the table of a campaign into the page of benchmarks.
+
+After `sato campaign run FILE`:
 
     python scripts/tabulate_campaign.py campaigns/uiuc.toml runs/uiuc --write
 
-Columns are those of the table [table] in the file, as it is now. Without `--write` it prints them.
+Columns are those of [table] in the file, as it is now, without times, which other work on the
+machine decides. Without `--write` it prints them.
 """
 
 import tomllib
@@ -12,7 +15,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
-from written_tables import ROOT, write_table
+from written_tables import BENCHMARKS, ROOT, write_table
 
 from sato.campaigns.selection import group_runs
 from sato.campaigns.table import open_table
@@ -23,11 +26,14 @@ def main(
     folder: Annotated[Path, typer.Argument(help="Folder with its table.")],
     write: Annotated[bool, typer.Option("--write", help="Replace the table of the page.")] = False,
     note: Annotated[str, typer.Option(help="Circumstances, such as other work.")] = "",
+    times: Annotated[bool, typer.Option(help="Show wall times too.")] = False,
+    page: Annotated[Path, typer.Option(help="Page with the marker.")] = BENCHMARKS,
 ) -> None:
     """Print or write the table; exit 1 where runs are missing."""
     shown = tomllib.loads(file.read_text("utf-8")).get("table", {})
     runs = open_table(folder)
-    head, rows = group_runs(runs, shown.get("by"), shown.get("show", ())).text()
+    terms = [term for term in shown.get("show", ()) if times or not term.startswith("wall_s")]
+    head, rows = group_runs(runs, shown.get("by"), terms).text()
     table = Table(*head)
     for row in rows:
         table.add_row(*row)
@@ -37,7 +43,7 @@ def main(
         raise typer.Exit(1)
     if write:
         source = f"scripts/tabulate_campaign.py {file.resolve().relative_to(ROOT)}"
-        write_table(table, source, note=note)
+        write_table(table, source, page, note)
 
 
 if __name__ == "__main__":

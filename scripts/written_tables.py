@@ -7,6 +7,7 @@ A table stands between markers that name what writes it:
     <!-- end -->
 """
 
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -24,7 +25,7 @@ PACKAGES = ("dynamics", "problems", "sato")
 
 def as_markdown(table: Table) -> list[str]:
     """Return the lines of a table."""
-    columns = [[str(column.header), *map(_plain, column.cells)] for column in table.columns]
+    columns = [[_plain(column.header), *map(_plain, column.cells)] for column in table.columns]
     rows = [
         " | ".join(cell.replace("|", "\\|") for cell in row) for row in zip(*columns, strict=True)
     ]
@@ -33,19 +34,20 @@ def as_markdown(table: Table) -> list[str]:
 
 
 def _plain(cell: object) -> str:
-    return " ".join((cell.plain if isinstance(cell, Text) else str(cell)).split())
+    text = cell.plain if isinstance(cell, Text) else str(cell)
+    return " ".join(text.replace("\n", ": ").split())
 
 
-def describe_origin(commit: str = "") -> str:
-    """Name commit, machine and versions, and nothing that identifies the owner."""
-    if not commit:
-        commit = _git("rev-parse", "--short", "HEAD")
-        commit += " with changes" if _git("status", "--porcelain", *PACKAGES) else ""
+def describe_origin() -> str:
+    """Name commit, machine, its load and versions, and nothing that identifies the owner."""
+    commit = _git("rev-parse", "--short", "HEAD")
+    commit += " with changes" if _git("status", "--porcelain", *PACKAGES) else ""
     solvers = [load_adapters()[name] for name in ("clarabel", "highs") if name in load_adapters()]
     machine = describe_machine(solvers)
     names = ", ".join(f"{name} {number}" for name, number in machine["versions"].items())
     place = f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}"
-    return f"*Commit {commit}; {place}; {names}.*"
+    load = f"load average {os.getloadavg()[0]:.0f}"
+    return f"*Commit {commit}; {place}, {load}; {names}.*"
 
 
 def _git(*arguments: str) -> str:
