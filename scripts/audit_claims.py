@@ -20,7 +20,7 @@ Evidence is one of
     docs/safety.md#proof          a proof, or a table of the pages that says it
     [Morgan2016]                  a statement of a work of the bibliography
     inline                        the sentence itself names its test, script, campaign or file
-    page                          scripts of this page, which tests/test_pages.py runs
+    page                          scripts of this page or lesson, which a test runs
     definition                    no claim: the meaning of a word, key or symbol, or what to do
     arithmetic                    follows from numbers that stand beside it
     unrepeated                    measured once; no script of the repository repeats it
@@ -58,7 +58,7 @@ STRONG = re.compile(
 )
 NUMBER = re.compile(r"(?<![\w.−-])\d")
 NO_CLAIM = re.compile(  # text in which a number numbers, names or cites
-    r"`[^`]*`|\[[A-Z][^\]]*\d{4}[^\]]*\]|\((\d+)\)(–\((\d+)\))?|\b\d-(D|norm)\b|\bPython 3\.\d+"
+    r"`[^`]*`|\$[^$]*\$|\[[A-Z][^\]]*\d{4}[^\]]*\]|\((\d+)\)(–\((\d+)\))?|\b\d-(D|norm)\b|\bPython 3\.\d+"
     r"|\b(Figs?|Tables?|eqs?|Eqs?|Secs?|lines?|l|Methods?|Problems?|Propositions?|Theorems?|Lemmas?|"
     r"Remarks?|Claims?|[Ll]essons?|Algorithms?|[Aa]ssumptions?|[Rr]ules?|[Cc]ase|Footnote)\.? "
     r"[\dIVX]+[a-z]?((–|, | and )[\dIVX]+)*"
@@ -82,9 +82,19 @@ class Claim(NamedTuple):
 
 
 def pages() -> list[Path]:
-    """List README and the pages of docs whose text is written by hand."""
-    docs = (file for file in sorted((ROOT / "docs").glob("*.md")) if file.name not in NOT_CLAIMS)
-    return [ROOT / "README.md", *docs]
+    """List README, the pages of docs whose text is written by hand, and the lessons."""
+    docs = [file for file in sorted((ROOT / "docs").glob("*.md")) if file.name not in NOT_CLAIMS]
+    lessons = [ROOT / "docs/lessons/index.md", *sorted((ROOT / "docs/lessons").glob("*.py"))]
+    return [ROOT / "README.md", *docs, *lessons]
+
+
+def read_page(page: Path) -> str:
+    """Return the text of a page; of a lesson, its cells of text."""
+    text = page.read_text("utf-8")
+    if page.suffix == ".py":
+        cells = re.findall(r"^# %% \[markdown\]\n(.*?)(?=^# %%|\Z)", text, flags=re.M | re.S)
+        text = "\n\n".join(re.sub(r"^# ?", "", cell, flags=re.M) for cell in cells)
+    return text
 
 
 def strip(text: str) -> str:
@@ -93,6 +103,7 @@ def strip(text: str) -> str:
     text = re.sub(r"^(```+|~~~+|:::+).*?^\1", "\n", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
     text = re.sub(r"(?<=\n\n)(?: {4}[^\n]*\n)+", "\n", text)
+    text = re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL)
     text = re.sub(r"^#.*$|^\[\w+\]:.*$", "\n", text, flags=re.MULTILINE)
     text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", text)
     return re.sub(r"\[([^\]]+)\]\(([^)]*)\)", r"\1⟨\2⟩", text)
@@ -149,7 +160,7 @@ def find_claims() -> list[Claim]:
     found = {
         Claim(str(page.relative_to(ROOT)), unit): None
         for page in pages()
-        for unit in units(page.read_text("utf-8"))
+        for unit in units(read_page(page))
         if is_claim(unit)
     }
     return list(found)
@@ -177,7 +188,7 @@ def is_there(evidence: str, claim: Claim) -> bool:
         other = re.findall(r"`(test_\w+|sato [^`]+)`", claim.text)
         return bool(named or other) and all((ROOT / path).exists() for path in named)
     if evidence == "page":
-        return "```python" in _text(claim.page) or "```sh" in _text(claim.page)
+        return claim.page.endswith(".py") or bool(re.search("```(python|sh)", _text(claim.page)))
     if evidence in CLASSES:
         return True
     if evidence.startswith("["):
