@@ -58,7 +58,8 @@ STRONG = re.compile(
 )
 NUMBER = re.compile(r"(?<![\w.−-])\d")
 NO_CLAIM = re.compile(  # text in which a number numbers, names or cites
-    r"`[^`]*`|\$[^$]*\$|\[[A-Z][^\]]*\d{4}[^\]]*\]|\((\d+)\)(–\((\d+)\))?|\b\d-(D|norm)\b|\bPython 3\.\d+"
+    r"`[^`]*`|\$[^$]*\$|\[[A-Z][^\]]*\d{4}[^\]]*\]|\((\d+)\)(–\((\d+)\))?|\b\d-(D|norm)\b"
+    r"|\bPython 3\.\d+"
     r"|\b(Figs?|Tables?|eqs?|Eqs?|Secs?|lines?|l|Methods?|Problems?|Propositions?|Theorems?|Lemmas?|"
     r"Remarks?|Claims?|[Ll]essons?|Algorithms?|[Aa]ssumptions?|[Rr]ules?|[Cc]ase|Footnote)\.? "
     r"[\dIVX]+[a-z]?((–|, | and )[\dIVX]+)*"

@@ -131,7 +131,7 @@ def test_every_row_of_the_map_has_a_verdict():
 
 
 def test_rows_that_no_run_shows_name_their_own_tests():
-    """Propositions, proofs and parts of a formula are shown by tests or scripts, not by a flight."""
+    """Propositions and proofs are shown by tests or scripts, not by a flight."""
     for paper in COUNTS:
         for row in rows(paper):
             for file in re.findall(r"`pytest tests/(test_\w+\.py)`", row[3]):
