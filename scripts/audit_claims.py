@@ -21,7 +21,8 @@ Evidence is one of
     [Morgan2016]                  a statement of a work of the bibliography
     inline                        the sentence itself names its test, script, campaign or file
     page                          scripts of this page or lesson, which a test runs
-    definition                    no claim: the meaning of a word, key or symbol, or what to do
+    definition                    no claim: what a word or symbol means, an assumption, what is not
+                                  promised, or what to do
     arithmetic                    follows from numbers that stand beside it
     unrepeated                    measured once; no script of the repository repeats it
 
