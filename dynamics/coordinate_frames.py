@@ -48,8 +48,8 @@ class LVLH:
         Args:
             chief: Inertial position and velocity [m, m/s].
             acceleration: Total acceleration of the chief in inertial axes [m/s²]. Only its
-                component a_n along the normal has an effect: it tilts the orbital plane.
-                None is Keplerian motion, with a_n = 0.
+                component a_n along the normal has an effect: it tilts the orbital plane. None is
+                Keplerian motion, a_n = 0; under J2 velocities are then off by mm/s some km away.
 
         Raises:
             ValueError: The motion is rectilinear, so that there is no orbital plane.

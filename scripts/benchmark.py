@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from threadpoolctl import threadpool_limits
+from written_tables import write_table
 
 import sato
 from dynamics import discretize_zoh
@@ -109,9 +110,9 @@ def time_plain_loop(agents: int) -> tuple[float, float]:
     return loop_seconds + agents**2 * seconds[steps], loop_seconds
 
 
-def time_commands(console: Console) -> None:
-    """Print the processor time of a first and of a second call of commands."""
-    table = Table("sato run …", "first call [s]", "second call [s]", "difference [s]")
+def time_commands(console: Console) -> Table:
+    """Return the processor time of a first and of a second call of commands."""
+    table = Table("`sato run …`", "first call [s]", "second call [s]", "difference [s]")
     for name in COMMANDS:
         with tempfile.TemporaryDirectory() as cache:
             seconds = []
@@ -124,8 +125,8 @@ def time_commands(console: Console) -> None:
                 after = os.times()
                 spent = (after.children_user, after.children_system)
                 seconds.append(sum(spent) - before.children_user - before.children_system)
-        table.add_row(name, *(f"{s:.1f}" for s in (*seconds, seconds[0] - seconds[1])))
-    console.print(table)
+        table.add_row(f"`{name}`", *(f"{s:.1f}" for s in (*seconds, seconds[0] - seconds[1])))
+    return table
 
 
 def main(
@@ -133,6 +134,8 @@ def main(
     one: Annotated[int, typer.Option(hidden=True)] = 0,
     plain: Annotated[bool, typer.Option(help="Time the plain loop too.")] = True,
     cold: Annotated[bool, typer.Option("--cold", help="Time commands instead.")] = False,
+    write: Annotated[bool, typer.Option("--write", help="Replace the table of the page.")] = False,
+    note: Annotated[str, typer.Option(help="Circumstances, such as other work.")] = "",
 ) -> None:
     """Print the table."""
     if one:
@@ -141,7 +144,10 @@ def main(
         return
     console, rows = Console(width=120), {}
     if cold:
-        time_commands(console)
+        table = time_commands(console)
+        console.print(table)
+        if write:
+            write_table(table, "scripts/benchmark.py --cold", note=note)
         return
     table = Table(
         "vehicles", "steps", *(f"{part} [s]" for part in PARTS), "memory [GiB]", "reached"
@@ -159,6 +165,8 @@ def main(
         powers = (f"{np.log(ratio) / np.log(many / few):.2f}" for ratio in ratios)
         table.add_row(f"power, from {few}", "", *powers, "")
     console.print(table)
+    if write:
+        write_table(table, "scripts/benchmark.py", note=note)
     if plain:
         own = rows.get(COMPARED) or fly(COMPARED)
         with threadpool_limits(1):

@@ -139,3 +139,12 @@ def test_a_published_example_has_its_inertial_state():
 def test_rectilinear_motion_is_refused(state):
     with pytest.raises(ValueError, match=r"one line through|must be an array"):
         LVLH.from_state(np.array(state, dtype=float))
+
+
+def test_without_the_acceleration_of_the_chief_velocities_are_off():
+    chief = inertial_states(6978e3, 1e-3, np.radians(45), 0.5, 0.5, 0.9)
+    deputy = inertial_states(6978e3, 1e-3, np.radians(45) + 3e-4, 0.5 + 3e-4, 0.5, 0.9 - 3e-4)
+    exact = LVLH.from_state(chief, Forces().acceleration(chief)).from_inertial(deputy)
+    found = LVLH.from_state(chief).from_inertial(deputy)
+    assert_allclose(found[:3], exact[:3], rtol=0, atol=1e-6)
+    assert 1e-3 < np.abs(found - exact)[3:].max() < 1e-2  # [m/s], some kilometers away

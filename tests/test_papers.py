@@ -128,3 +128,14 @@ def test_every_row_of_the_map_has_a_verdict():
     for paper in COUNTS:
         for row in rows(paper):
             assert re.match(r"reproduced|corrected|surpassed|not applicable", row[2]), row
+
+
+def test_rows_that_no_run_shows_name_their_own_tests():
+    """Propositions and proofs are shown by tests or scripts, not by a flight."""
+    for paper in COUNTS:
+        for row in rows(paper):
+            for file in re.findall(r"`pytest tests/(test_\w+\.py)`", row[3]):
+                assert f"../tests/{file})" in row[4], row
+            is_statement = re.match(rf"(?:{STATEMENTS}) |\((?:3|4|5)\d\)", row[0])
+            if paper == "Morgan2016" and is_statement and row[0] != "Proposition 9":
+                assert not row[3].startswith("`sato run"), row

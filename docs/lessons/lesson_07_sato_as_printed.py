@@ -200,7 +200,7 @@ assert counts[0.2] < counts[0.0]
 #
 # ## 3. The clock goes back (Method 3, lines 11–13)
 #
-# Whenever two components meet, the number of bids changes, and $k_0 = 0$: agents have the whole
+# Where two components meet, the number of bids changes, and $k_0 = 0$: agents have the whole
 # time again, and arrive later. In a swarm that starts in sixteen components that happens again and
 # again. Each plan is of least fuel for the time *left*; but what was burned for the plan before is
 # lost.

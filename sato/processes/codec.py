@@ -3,8 +3,8 @@
 A value is a byte that tells its type, and its content; lengths and numbers are little-endian. An
 array is its type, its shape and its numbers as they are in memory. A named tuple or dataclass is
 its place in the list of types, and its fields in order. Members of a set, reports that are passed
-on from round to round, have their lengths before them, and are encoded and decoded once. Nothing
-else is ever made of what arrives: no function is called by name, as a pickle can ask for.
+on from round to round, have their lengths before them, and are encoded and decoded once. Nothing is
+called by name, as a pickle can ask for. Tags are checked; fields, senders and sense are not.
 """
 
 import struct

@@ -1,4 +1,4 @@
-"""Fuel and energy of a run, and lower bounds on them."""
+"""Fuel and energy of a run, and lower bounds on them by the model that all agents share."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -38,13 +38,14 @@ def compute_step_energy(record: ReconfigurationRecord) -> Float[Array, "steps ag
 def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBound | None:
     """Compute a lower bound on the fuel of a leg, by the model that all agents share.
 
-    It counts the agents that are there at the end, each from its state at the start of the
-    leg, or where it joined. A plant that is not the model may take an agent to its target for
-    less. By the model, its commanded controls would have ended elsewhere; the fuel that moves
-    that end to the target, alone and limited by the control only, is as much as the plant can
-    have saved (`correction_fuel`): while limits do not bind, the fuel of a transfer grows by
-    no more than the fuel of the difference. There is none where the leg did not end, an agent
-    could not have arrived, or the instance is too large for norms without a method for all pairs.
+    It counts the agents that are there at the end, each from its state at the start of the leg, or
+    where it joined. A plant that is not the model may take an agent to its target for less, as a
+    flight far from the chief does, about which the model is linear: there it is an estimate. By the
+    model, the commanded controls would have ended elsewhere; the fuel that moves that end to the
+    target, alone and limited by the control only, is as much as the plant can have saved
+    (`correction_fuel`): while limits do not bind, a transfer's fuel grows by no more than that of
+    the difference. There is none where the leg did not end, an agent could not have arrived, or the
+    instance is too large for norms without a method for all pairs.
     """
     costs = _make_leg_costs(record, leg, "fuel")
     if costs is None:

@@ -47,7 +47,7 @@ def plot_separation(record: ReconfigurationRecord) -> Figure:
 
 
 def plot_fuel(record: ReconfigurationRecord) -> Figure:
-    """Plot the fuel of every agent against its lower bound; the swarm's are in the title."""
+    """Plot the fuel of agents against bounds by the shared model; the swarm's are in the title."""
     fuel, bound = compute_step_fuel(record).sum(axis=0), compute_agent_bounds(record)
     stays = record.frames.alive[-1]
     top = 1.05 * float(np.nanmax([fuel, bound], initial=0.0)) or 1.0
@@ -61,7 +61,7 @@ def plot_fuel(record: ReconfigurationRecord) -> Figure:
     title = [f"fuel of the swarm: {float(fuel.sum()):.4g} m/s", *_bounds_of_swarm(record)]
     ax.set_title("\n".join(title), loc="left", fontsize=8.5)
     ax.set(xlim=(0, top), ylim=(0, top), aspect="equal", ylabel="fuel of each agent [m/s]")
-    ax.set_xlabel("lower bound of each agent: least fuel to its own targets, alone [m/s]")
+    ax.set_xlabel("bound of each agent: least fuel to its own targets, by the shared model [m/s]")
     ax.legend(loc="lower right")
     return figure
 
@@ -88,7 +88,7 @@ def plot_delta_v(record: ReconfigurationRecord) -> Figure:
     bars.bar(place[stays], fuel[order][stays], color=SKY, label="Δv")
     if not stays.all():
         bars.bar(place[~stays], fuel[order][~stays], color="#dddddd", label="Δv until lost")
-    style = {"color": DARK_GRAY, "lw": 1.0, "label": "lower bound"}
+    style = {"color": DARK_GRAY, "lw": 1.0, "label": "bound by the shared model"}
     bars.hlines(bound[order], place - 0.45, place + 0.45, **style)
     bars.set(xlim=(-1, len(order)), xlabel="spacecraft, by Δv", ylabel="Δv [m/s]", xticks=[])
     # Share of the total Δv over the share of the swarm that burns it, lowest Δv first.
