@@ -124,6 +124,17 @@ def test_gravity_radius_and_oblateness_travel_with_an_orbit(name):
     assert sato.Reconfiguration(model=models[0], **rest).chief.orbit == orbit
 
 
+def test_a_model_about_the_chief_in_other_elements_is_held_by_a_file():
+    chief = sato.Chief(semi_major_axis=3.8e6, eccentricity=0.01, mu=MARS)
+    start = np.array([[0.0, 0, 0], [0, 200, 0]])
+    mission = sato.Reconfiguration(
+        model=sato.J2(chief.orbit), chief=chief, start=start, legs=[sato.Leg(start, steps=6)],
+        step=60.0, comm_radius=2e3, collision_radius=50.0, max_control=0.01, max_speed=4.0,
+    )  # fmt: skip
+    assert mission.model.kind == "j2" and mission.chief == chief
+    assert sato.parse(mission.to_toml()) == mission
+
+
 def test_a_run_about_mars_is_loaded_and_exported_as_of_mars(tmp_path):
     orbit = ORBITS["Mars"]
     start = np.array([[0.0, 0, 0], [0, 200, 0]])

@@ -129,7 +129,7 @@ AnyModel = PointMass | OrbitalModel | LinearModel | NonlinearModel
 
 def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief | None]:
     """Return a model of the library as the definition, and the chief, that a file has for it."""
-    if type(model) is J2 and chief in (None, Chief.from_orbit(model.orbit)):
+    if type(model) is J2 and (chief is None or chief.orbit == model.orbit):
         return OrbitalModel("j2"), chief or Chief.from_orbit(model.orbit)
     if type(model) is ClohessyWiltshire and chief is None:
         return OrbitalModel("clohessy_wiltshire", mean_motion=model.n), None
