@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import sato
+from sato.campaigns.trial import Trial
 from sato.connectivity.stick import WaypointStick
 from sato.export import format_utc
 from sato.formation.settings import AssignmentSettings
@@ -160,6 +161,14 @@ def test_runs_of_earlier_versions_with_own_parts_still_load(tmp_path):
         sato.Run(old, run.summary).save(tmp_path / "run")
         assert "the model is of your own" in str(sato.load(tmp_path / "run").check())
         assert sato.load(tmp_path / "run", mission=mission).check().kept
+
+
+def test_campaigns_fly_own_parts_as_they_are_or_refuse_to_change_them():
+    mission = sato.Reconfiguration(**PLAIN, plant=Euler(0.02))
+    trial = Trial(0, mission, {}, 0, (0, 0))
+    assert pickle.loads(pickle.dumps(trial)).build_mission() == mission
+    with pytest.raises(sato.InputError, match=r'plant: "test_round_trips\.Euler" is of a mission'):
+        trial._replace(parameters={"plan.horizon_steps": 6}).build_mission()
 
 
 def test_a_mission_of_the_users_own_class_is_no_scenario():
