@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import sato
+from sato.campaigns.trial import Trial
 from sato.connectivity.stick import WaypointStick
 from sato.export import format_utc
 from sato.formation.settings import AssignmentSettings
@@ -162,6 +163,14 @@ def test_runs_of_earlier_versions_with_own_parts_still_load(tmp_path):
         assert sato.load(tmp_path / "run", mission=mission).check().kept
 
 
+def test_campaigns_fly_own_parts_as_they_are_or_refuse_to_change_them():
+    mission = sato.Reconfiguration(**PLAIN, plant=Euler(0.02))
+    trial = Trial(0, mission, {}, 0, (0, 0))
+    assert pickle.loads(pickle.dumps(trial)).build_mission() == mission
+    with pytest.raises(sato.InputError, match=r'plant: "test_round_trips\.Euler" is of a mission'):
+        trial._replace(parameters={"plan.horizon_steps": 6}).build_mission()
+
+
 def test_a_mission_of_the_users_own_class_is_no_scenario():
     with pytest.raises(sato.ScenarioError, match=r"Guarded.* is of a mission in Python"):
         sato.parse(Guarded(**PLAIN).to_toml())
@@ -264,7 +273,7 @@ def test_epochs_of_all_years_are_exported_as_they_are(epoch, seconds, expected):
     [
         ("9999-06-01", "must be in the years 1 to 9998, got 9999"),
         ("0001-01-01T00:00:00+02:00", "must be a date and time in UTC"),
-        ("2016-12-31T23:59:60", "and no leap second"),
+        ("2016-12-31T23:59:60", "no leap second"),
         ("10000-01-01", "must be a date and time in UTC"),
         ("2026-01-01T00:00:00.123456789", "must be of whole microseconds"),
     ],

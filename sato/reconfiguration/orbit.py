@@ -51,8 +51,7 @@ def _as_utc(value: Any) -> Any:
         if time.tzinfo is not None:
             time = time.astimezone(UTC).replace(tzinfo=None)
     except (TypeError, ValueError, OverflowError) as error:
-        example = '"2026-01-01T00:00:00" would do'
-        reason = f"must be a date and time in UTC; {example}, and no leap second"
+        reason = 'must be a date and time in UTC; "2026-01-01T00:00:00" would do, no leap second'
         raise InputError("", reason) from error
     if not YEARS[0] <= time.year <= YEARS[1]:
         raise InputError("", f"must be in the years {YEARS[0]} to {YEARS[1]}, got {time.year}")

@@ -73,11 +73,7 @@ class Mission(Definition):
 
 
 def describe_own(text: str) -> str:
-    """Say which parts of a scenario are of the user's own, and how they are given; "" if none.
-
-    Args:
-        text: TOML that `Mission.to_toml` wrote.
-    """
+    """Say which parts of the TOML of a mission are of the user's own; "" if none."""
     from problems.solvers import load_adapters  # slow, and for this alone
 
     data = load_toml(text, "run.nc")
