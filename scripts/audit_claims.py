@@ -78,9 +78,10 @@ class Claim(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Hash and first words."""
-        opening = re.sub(r"[^\w .,()/%–-]", "", self.text)[:60].strip()
-        return f"{sha256(self.text.encode()).hexdigest()[:8]} {opening}"
+        """Hash and first words, without the targets of links."""
+        words = re.sub(r"⟨[^⟩]*⟩", "", self.text)
+        opening = " ".join(re.sub(r"[^\w .,()/%–-]", "", words)[:60].split())
+        return f"{sha256(words.encode()).hexdigest()[:8]} {opening}"
 
 
 def pages() -> list[Path]:
