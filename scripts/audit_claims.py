@@ -1,4 +1,4 @@
-"""Audit of the claims of README, docs and lessons: python scripts/audit_claims.py [--new] [--count].
+"""Audit of the claims of README, docs and lessons: python scripts/audit_claims.py.
 
 A claim is a sentence, a row of prose in a table, or a table of numbers, with a word of generality
 or a number. Claims are found in the pages; docs/claims.toml says for each what shows it. The audit
