@@ -337,7 +337,8 @@ def judge(
         if any(_is_callback(example.arguments[n], change) for n, change in changes.items()):
             return "", ""  # the function is the caller's own
         keys = [key for name in example.arguments for key in _keys(example, name)]
-        return _judge_error(error, keys)
+        is_wrong = any(change.name in WRONG_KINDS for change in changes.values())
+        return _judge_error(error, keys if is_wrong else [])
     valid = example.call()
     is_equal = are_equal(found, valid)
     for name, change in changes.items():
@@ -417,6 +418,7 @@ def _judge_error(error: BaseException, names: list[str]) -> tuple[str, str]:
     if str(error).startswith("t: ") and {"times", "dt", "t0"} & set(names):
         return "", text  # the time that follows from them
     is_named = not names or any(re.search(rf"\b{name}", str(error)) for name in names)
+    is_named = is_named or bool(getattr(error, "key", "")) or "--set" in str(error)
     return ("", text) if is_named or type(error).__name__ != "InputError" else ("unnamed", text)
 
 
