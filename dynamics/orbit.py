@@ -8,7 +8,7 @@ equatorial orbits too.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import cos, hypot, isfinite, pi, sin, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
+MAX_AXIS = 1e9  # about as far as the Earth holds anything [m]
 MAX_TIME = 1e8  # three years; longer ones would be integrated for minutes [s]
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
@@ -200,8 +201,9 @@ def validate_ellipse(
         raise ValueError(
             f"eccentricity: an ellipse needs 0 ≤ e < 1, got {eccentricity:.6g}; a circle has e = 0"
         )
-    if not 0 < semi_major_axis < inf:
-        raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
+    if not 0 < semi_major_axis <= MAX_AXIS:
+        wanted = f"must be positive and at most {MAX_AXIS:.0e} m"
+        raise ValueError(f"semi_major_axis: {wanted}, got {semi_major_axis} m")
     if not 0 < mu < inf:
         raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= body_radius:

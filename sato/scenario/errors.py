@@ -6,9 +6,9 @@ from difflib import get_close_matches
 from math import ceil, floor, log10
 from typing import Any
 
-from dynamics.inputs import InputError as InputError
-from dynamics.inputs import format_value as format_value
-from dynamics.inputs import join_names as join_names
+from dynamics.errors import InputError as InputError
+from dynamics.errors import format_value as format_value
+from dynamics.errors import join_names as join_names
 
 PLAIN_WORDS = {
     "a valid integer": "an integer",
