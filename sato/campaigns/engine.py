@@ -67,6 +67,11 @@ def campaign(
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
         resume: Go on with a table; this and the next five as in `fly_campaign`.
+        workers: Number of processes.
+        scheduler: Address of a Dask scheduler.
+        allow_version: Resume with another version.
+        allow_many: Allow more than a million runs.
+        progress: Function called with the rows that there are.
 
     Returns:
         The table, opened to read: `rows()`, `exits()`, `to_pandas()`, `to_xarray()`.
