@@ -10,7 +10,7 @@ import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple
@@ -51,6 +51,7 @@ class Callback(NamedTuple):
 
 def is_own(part: Any) -> bool:
     """Tell whether a class or a function is the user's own, and not of this library."""
+    part = part.func if isinstance(part, partial) else part
     return str(getattr(part, "__module__", "")).partition(".")[0] not in LIBRARY
 
 
