@@ -63,7 +63,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=as_listed_points(start), legs=tuple(legs))
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
-    own_motion.try_plant(drawn.flown_plant, drawn.initial_states, drawn.step)
+    own_motion.try_plant(drawn.plant, drawn.initial_states, drawn.step)
     drawn = _resolve(drawn, departures, factors, demand)
     check_margin_to_obstacles(drawn)
     link_feasibility.check_starts(drawn)
