@@ -10,7 +10,7 @@ import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple
@@ -51,6 +51,7 @@ class Callback(NamedTuple):
 
 def is_own(part: Any) -> bool:
     """Tell whether a class or a function is the user's own, and not of this library."""
+    part = part.func if isinstance(part, partial) else part
     return str(getattr(part, "__module__", "")).partition(".")[0] not in LIBRARY
 
 
@@ -81,16 +82,8 @@ def call(
 ) -> Any:
     """Call a function of the user's own with copies of arrays, which cannot be written to.
 
-    Args:
-        name: Name of the function in messages.
-        function: The function.
-        arguments: Its arguments.
-        passes: Exceptions that are raised as they are.
-        check: Converts the result, or raises an `InputError` that begins with "must".
-        options: Its keyword arguments.
-
-    Raises:
-        CallbackError: It raised another exception, or returned what it may not.
+    A `check` converts the result, or raises an `InputError` that begins with "must". Exceptions
+    that pass are raised as they are; of all others, and of a wrong result, a `CallbackError` tells.
     """
     try:
         options = {key: _protect(value) for key, value in options.items()}
@@ -114,15 +107,9 @@ def call(
 
 
 def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> Array:
-    """Convert a result to an array of finite doubles of a shape.
+    """Convert a result to an array of finite doubles of a shape; an `InputError` refuses any other.
 
-    Args:
-        value: The result.
-        shape: Shape of the array.
-        can_stretch: True where leading axes may be missing, along which it is then the same.
-
-    Raises:
-        InputError: It cannot be converted, or has another shape.
+    Where it can be stretched, leading axes may be missing, along which it is then the same.
     """
     would_do = f"an array of shape {shape} would do"
     if value is None:
@@ -147,13 +134,7 @@ def as_kind(value: Any, kind: Any, would_do: str) -> Any:
 
 
 def guard(cls: type, callbacks: dict[str, Callback]) -> None:
-    """Let methods that are the user's own be called and checked as callbacks.
-
-    For `__init_subclass__` of the classes that users derive from.
-
-    Raises:
-        InputError: One of them is no method.
-    """
+    """Let methods of a new class that are the user's own be called and checked as callbacks."""
     for name, callback in callbacks.items():
         owner = next((each for each in cls.__mro__ if name in vars(each)), type)
         method = vars(owner).get(name)

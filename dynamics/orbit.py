@@ -8,7 +8,7 @@ equatorial orbits too.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, hypot, isfinite, pi, sin, sqrt
+from math import cos, hypot, inf, isfinite, pi, sin, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np

@@ -52,7 +52,7 @@ def _check_frame(kind: type, frame: Any, shapes: dict[str, tuple[int, ...]]) -> 
     """Refuse what is no frame of a kind, as it declares it, or changes the shape of a field."""
     as_kind(frame, kind, f"a {kind.__name__}")
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        value, declared = getattr(frame, name), get_args(hint)[0]
+        value, declared = getattr(frame, name), (*get_args(hint), object)[0]
         if get_origin(hint) is Annotated and not isinstance(value, _with_numpy(declared)):
             got = type(value).__name__
             got = f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else got

@@ -264,7 +264,7 @@ def test_a_solver_that_fails_is_told_once_and_counted(solve_by, spoil, said):
     assert not run.summary["broken"]
 
 
-def test_a_solver_that_is_right_has_no_errors_and_may_write_into_its_program(solve_by):
+def test_a_right_solver_has_no_errors_and_may_write_into_its_program(solve_by):
     def solve(session, b):
         found = session.ask(b)
         session.program.q[:] = 0.0

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Annotated, Protocol, runtime_checkable
 
@@ -63,7 +64,9 @@ class SolverAdapter:
     takes_quadratic_cost: bool = True
 
     def __post_init__(self) -> None:
-        """Fill in the names that were left out."""
+        """Fill in the names that were left out, and check the answers of own sessions."""
+        if is_own(self.session_factory):
+            object.__setattr__(self, "session_factory", partial(OwnSession, self.session_factory))
         object.__setattr__(self, "module", self.module or self.name)
         object.__setattr__(self, "pip_packages", self.pip_packages or self.module)
 
@@ -98,12 +101,6 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         self.require(problem)
-        return self.set_up(problem, tolerance)
-
-    def set_up(self, problem: ConicProgram, tolerance: float) -> SolverSession:
-        """Set the solver up for a program that it can take."""
-        if is_own(self.session_factory):
-            return OwnSession(self.session_factory, problem, tolerance)
         return self.session_factory(problem, tolerance)
 
     def require(self, problem: ConicProgram) -> None:

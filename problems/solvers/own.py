@@ -32,11 +32,14 @@ class OwnSession:
         name = getattr(factory, "__qualname__", type(factory).__name__)
         session = call(name, factory, deepcopy(program), tolerance)
         self._sizes = len(program.q), len(program.b)
-        self._name, self._solve = f"{type(session).__name__}.solve", getattr(session, "solve", None)
+        self._name, self._solve = (
+            f"{type(session).__name__}.solve",
+            call(name, getattr, session, "solve"),
+        )
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        found: SolverResult = call(self._name, self._solve, b, check=self._check)  # type: ignore[arg-type]
+        found: SolverResult = call(self._name, self._solve, b, check=self._check)
         return found
 
     def _check(self, found: Any) -> SolverResult:

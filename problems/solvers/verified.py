@@ -121,7 +121,7 @@ class VerifiedSolver:
         if self.is_default:
             return solve_clarabel(problem)
         if self._last is None:
-            self._last = problem, adapter.set_up(problem, ASKED * self._tolerance)
+            self._last = problem, adapter.session_factory(problem, ASKED * self._tolerance)
         return self._last[1].solve(problem.b)
 
     def _ask(self, solve: Callable[[], SolverResult]) -> SolverResult:
@@ -149,7 +149,8 @@ class VerifiedSolver:
         relaxed = relax_cones(problem)
         if adapter.refusal(relaxed):
             return found
-        result = self._ask(lambda: adapter.set_up(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
+        factory = adapter.session_factory
+        result = self._ask(lambda: factory(relaxed, ASKED * TOLERANCE).solve(relaxed.b))
         if result.y is None:
             return found
         ray, objection = verify_ray(problem, read_ray(problem, result.y))

@@ -96,7 +96,7 @@ def check_authority(name: str, model: DiscreteModel) -> None:
         raise InputError("model", f"{name}.B: {reason}; a B that is an acceleration would do")
 
 
-def try_plant(plant: Plant, x: Any, step: float) -> None:
+def try_plant(plant: Any, x: Any, step: float) -> None:
     """Propagate the first states by a plant of the user's own, which must repeat itself.
 
     Raises:

@@ -8,7 +8,6 @@ from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.callbacks import Callback, as_shape
 from dynamics.units import Length, Unit
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.allowed_places import is_free
@@ -30,13 +29,6 @@ class Random(Definition):
     """Positions drawn from a box, none closer to another than the separation."""
 
     kind: ClassVar[str] = "random"
-    callbacks: ClassVar = {
-        "draw": Callback(
-            "mission count occupied rng",
-            lambda own, given, value: as_shape(value, (given["count"], given["mission"].axes)),
-            InputError,
-        )
-    }
     separation: Annotated[Length, Positive, "least distance of two agents"]
     box: Annotated[
         float | None, Unit("m"), Positive, "side of the box; about ten neighbors each if absent"
