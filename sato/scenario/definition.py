@@ -29,7 +29,7 @@ from pydantic import (
 
 from dynamics.inputs import as_array as as_array
 from dynamics.labels import to_plain
-from dynamics.quantities import check_turns
+from dynamics.quantities import check_turns, to_si
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, join_names
@@ -153,7 +153,8 @@ class Field:
             return map_numbered(self._check_definition, [value] if is_one else value)
 
     def _check_plain(self, value: Any) -> Any:
-        value = to_plain(value, self.unit)
+        is_list = get_origin(self.hint) is tuple or Array in self.others
+        value = (to_plain if self.unit or is_list else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
