@@ -64,6 +64,7 @@ def listed(folder, text, **given):
         ("sep=;\nx;y\n1;2\n3;4\n", [[1, 2], [3, 4]]),
         ("vy_cm_s,x,y,vx_km_h\n100,0,0,36\n0,1,1,0\n", [[0, 0, 10, 1], [1, 1, 0, 0]]),
         ("1,2,\n3,4,\n,,\n", [[1, 2], [3, 4]]),
+        ("# 0,0\n# Team A, Berlin\n1,2\n3,4\n", [[1, 2], [3, 4]]),
     ],
 )
 def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):

@@ -18,10 +18,11 @@ from dynamics.labels import ID, OTHER_AXES, Units, knows_name, match_columns, so
 from dynamics.units import SUFFIXES
 from sato.scenario.errors import InputError, join_names
 
-NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf)", re.IGNORECASE)
-WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf)", re.IGNORECASE | re.ASCII)
+BEGIN = re.compile(r"[+-]?\.?\d|nan$|[+-]?inf$", re.IGNORECASE)  # of a number, right or wrong
+WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
-
+NAME = re.compile(r"[^\W\d]\w*(\s*[\[(/].*)?")  # one word, perhaps with a unit
 WORDS = re.compile(r"[\s,;]+")
 
 Row = tuple[int, list[str]]  # number of the line, and its cells
@@ -100,25 +101,23 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
         raise ValueError(f"{path} lists no {content}")
     first = written[0][1]
     between = given[0][1].strip()[-1] if is_told else next((c for c in ";\t," if c in first), " ")
-    try:
-        rows = [(n, _split(line, between)) for n, line in written]
-    except csv.Error as error:
-        raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
+    rows = [(n, _split(line, between)) for n, line in written]
     names, width = None, len(rows[0][1])
-    if not any(re.match(r"[+-]?\.?\d|nan$|[+-]?inf$", cell, re.IGNORECASE) for cell in rows[0][1]):
+    if not any(map(BEGIN.match, rows[0][1])):
         (_, names), *rows = rows
         if not rows:
             raise ValueError(f"{path} lists no {content}")
     notes = [line.lstrip("# \t") for n, line in given if n < rows[0][0] and _is_comment(line)]
     for note in notes:
         for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
-            if len(cells) != width or width == 1:
+            if len(cells) != width or width == 1 or any(map(BEGIN.match, cells)):
                 continue
             if all(cell in SUFFIXES for cell in cells):
                 cure = "they stand in the names of the columns, as in x_km"
                 raise ValueError(f"{path}: units have a line of their own; {cure}")
             is_known = any(knows_name(cell, units) for cell in cells)
-            if names is None and (is_list or is_known or all(map(OTHER_AXES.fullmatch, cells))):
+            is_named = all(map((NAME if is_list else OTHER_AXES).fullmatch, cells))
+            if names is None and (is_known or is_named):
                 names = cells
     return names, _with_points(path, rows)
 
@@ -128,7 +127,10 @@ def _is_comment(line: str) -> bool:
 
 
 def _split(line: str, between: str) -> list[str]:
-    cells = line.split() if between == " " else next(csv.reader([line], delimiter=between))
+    try:
+        cells = line.split() if between == " " else next(csv.reader([line], delimiter=between))
+    except csv.Error as error:
+        raise ValueError(f"a line of the CSV file cannot be read: {error}") from error
     cells = [cell.strip() for cell in cells]
     while len(cells) > 1 and not cells[-1]:  # of a separator at the end
         cells.pop()

@@ -45,7 +45,7 @@ from dynamics.inputs import shorten
 from dynamics.labels import to_plain
 from dynamics.model import Model
 from dynamics.plant import Plant
-from dynamics.quantities import within_turns
+from dynamics.quantities import to_si, within_turns
 from dynamics.units import Key as Key
 from dynamics.units import Unit
 from sato.scenario.errors import InputError, explain, format_value, join_names
@@ -226,7 +226,8 @@ class Field:
             return map_numbered(self._check_definition, [value] if is_one else value)
 
     def _check_plain(self, value: Any) -> Any:
-        value = to_plain(value, self.unit)
+        is_list = get_origin(self.hint) is tuple or Array in self.others
+        value = (to_plain if self.unit or is_list else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
