@@ -41,11 +41,10 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     It counts the agents that are there at the end, each from its state at the start of the leg, or
     where it joined. A plant that is not the model may take an agent to its target for less, as a
     flight far from the chief does, about which the model is linear: there it is an estimate. By the
-    model, the commanded controls would have ended elsewhere; the fuel that moves that end to the
-    target, alone and limited by the control only, is as much as the plant can have saved
-    (`correction_fuel`): while limits do not bind, a transfer's fuel grows by no more than that of
-    the difference. There is none where the leg did not end, an agent could not have arrived, or the
-    instance is too large for norms without a method for all pairs.
+    model, its controls would end elsewhere; the fuel that moves that end to the target, alone and
+    limited by the control only, is as much as the plant can have saved (`correction_fuel`),
+    while limits do not bind. There is no bound where the leg did not end, an agent could not have
+    arrived, or the instance is too large for norms without a method for all pairs.
     """
     costs = _make_leg_costs(record, leg, "fuel")
     if costs is None:
