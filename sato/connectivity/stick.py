@@ -127,8 +127,8 @@ class RecordedStick(Definition):
         if first >= duration:
             raise InputError(
                 "times_s",
-                f"lie from {first:.10g} to {last:.10g} s, after the flight of {duration:g} s; times "
-                f"that are less by {first:.10g}, or a longer run.duration_s, would do",
+                f"lie from {first:.10g} to {last:.10g} s, after the flight of {duration:g} s; "
+                f"times that are less by {first:.10g}, or a longer run.duration_s, would do",
             )
 
     def doubt_end(self, duration: float) -> list[str]:
