@@ -19,7 +19,7 @@ from problems.transfer import TransferProblem
 from sato.reconfiguration.departure import Departure
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
-PROGRAM_TIME = 2e-3, 5e-5, 4e-7  # of a program, by powers of its steps [s]
+PROGRAM_TIME = 2e-3, 5e-5, 4e-7, 6e-10  # of a program, by powers of its steps [s]
 LINEAR = 0.15  # of the time of a program with cones,
 LINEAR_STEPS = 500  # up to so many steps; beyond, both take their time to be assembled
 INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
