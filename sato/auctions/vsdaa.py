@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from numba import njit
 from numpy import ndarray as Array
 
@@ -68,7 +68,7 @@ class VsdaaAuction:
             too small to show in prices of this size.
     """
 
-    cost: Float[Array, "agents targets"]  # finite, also where a target is out of reach
+    cost: Num[Array, "agents targets"]  # finite, also where a target is out of reach
     graph: CommunicationGraph  # while the auction lasts
     target_count: Int[Array, " agents"]  # m of each agent, the number of targets it would bid on
     epsilon: float  # bid increment ε, in the unit of the cost

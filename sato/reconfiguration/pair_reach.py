@@ -19,8 +19,9 @@ from problems.transfer import TransferProblem
 from sato.reconfiguration.departure import Departure
 
 MAX_SOLVED_PAIRS_TIMES_STEPS = 100_000  # above which bounds alone decide
-PROGRAM_TIME = 2e-3, 5e-5, 4e-7  # of a program, by powers of its steps [s]
-LINEAR = 0.15  # of the time of a program with cones
+PROGRAM_TIME = 2e-3, 5e-5, 4e-7, 6e-10  # of a program, by powers of its steps [s]
+LINEAR = 0.15  # of the time of a program with cones,
+LINEAR_STEPS = 500  # up to so many steps; beyond, both take their time to be assembled
 INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
 STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
@@ -60,7 +61,8 @@ class Budget:
             Undecided: There is less time than that takes.
         """
         seconds = float(np.polynomial.Polynomial(PROGRAM_TIME)(steps))
-        self.spend(seconds * (LINEAR if departure.mission.control_norm == "inf" else 1.0))
+        is_short = departure.mission.control_norm == "inf" and steps <= LINEAR_STEPS
+        self.spend(seconds * (LINEAR if is_short else 1.0))
         is_reachable = can_transfer(departure, target, steps, factor)
         if not is_reachable:
             self._left -= INFEASIBLE * seconds

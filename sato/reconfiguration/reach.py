@@ -31,7 +31,7 @@ CONTROL_PRECISION = 1.01  # relative, of the control that would do
 MAX_PAIRS_TIMES_STEPS = 20_000_000  # above which no longer time is tried
 MAX_ENERGY_STEPS = 500  # above which the matrices of the least energy are too large
 CHECK_TIME = 4.0  # of programs that refuse a mission, in all [s]
-SEARCH_TIME = 2.5  # of programs that look for the time, or for the control, that would do [s]
+SEARCH_TIME = 1.5  # of programs that look for the time, or for the control, that would do [s]
 AUTOMATIC_TIME = 6.0  # of programs that look for the automatic steps of a leg [s]
 
 TargetsAfter = Callable[[int], Float[Array, "targets n"]]  # states to reach in so many steps
