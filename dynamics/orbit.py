@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
-from annotated_types import Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -28,6 +28,7 @@ EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
 K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
 
+Turn = Annotated[float, Ge(-1e4), Le(1e4)]  # angle, whose sine is then exact to 1e-12 [rad]
 # One number, vector or state, or many.
 Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
@@ -70,9 +71,9 @@ class Orbit:
     r: float
     v_x: float
     h: float
-    raan: float
+    raan: Turn
     inclination: float
-    arg_latitude: float
+    arg_latitude: Turn
     mu: float = EARTH_MU
     k_J2: float = K_J2
 
@@ -93,9 +94,9 @@ class Orbit:
         semi_major_axis: float,
         eccentricity: float = 0.0,
         inclination: float = 0.0,
-        raan: float = 0.0,
-        arg_perigee: float = 0.0,
-        true_anomaly: float = 0.0,
+        raan: Turn = 0.0,
+        arg_perigee: Turn = 0.0,
+        true_anomaly: Turn = 0.0,
         mu: Annotated[float, Gt(0)] = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
