@@ -1,6 +1,7 @@
 """One vehicle as an object: the loop, control for control and message for message; refusals."""
 
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,12 @@ from dynamics.plant import LinearPlant, Plant
 from sato.auctions.vsdaa import init_state, run_kernel, run_vsdaa
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, planning
-from sato.reconfiguration.agent_inputs import as_instant, as_state, check_agent, check_inbox
+from sato.reconfiguration.agent_inputs import (
+    AgentMessage,
+    as_instant,
+    as_state,
+    check_inbox,
+)
 from sato.reconfiguration.agent_stages import BiddingMessage, ExchangeMessage
 from sato.reconfiguration.loop import _Flight, simulate
 from sato.scp import resolve_conflicts
@@ -333,8 +339,9 @@ def test_agents_of_any_numbers_are_each_given_a_target_of_their_own():
         agents[i] = sato.Agent(mission, i)
     x = np.zeros((204, 4))
     x[list(starts), :2] = list(starts.values())
-    graph = CommunicationGraph(np.zeros((204, 204), dtype=bool), np.isin(range(204), list(goals)))
-    graph.adjacency[np.ix_(list(goals), list(goals))] = ~np.eye(3, dtype=bool)
+    adjacency = np.zeros((204, 204), dtype=bool)
+    adjacency[np.ix_(list(goals), list(goals))] = ~np.eye(3, dtype=bool)
+    graph = CommunicationGraph(adjacency, np.isin(range(204), list(goals)))
     for k in range(24):
         if k == 6:
             goals |= {3: [0.5, 5.0]}
@@ -356,14 +363,14 @@ WRONG_INBOXES = {
 
 @pytest.mark.parametrize("number", [-1, 1.0, "0", True, 4096])
 def test_number_that_is_none_is_refused(number):
-    with pytest.raises(ValueError, match="number must be a whole number from 0 to 4095, got"):
-        check_agent(four()[0], number)
+    with pytest.raises(ValueError, match=r"number:? must be a.* got"):
+        sato.Agent(four()[0], number)
 
 
 @pytest.mark.parametrize("count", [0, -1, 2.5, "4"])
 def test_target_count_that_is_none_is_refused(count):
-    with pytest.raises(ValueError, match="target_count must be a whole number above 0, got"):
-        check_agent(four()[0], 0, count)
+    with pytest.raises(sato.InputError, match="target_count: must be an integer above 0, got"):
+        sato.Agent(four()[0], 0, count)
 
 
 @pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, "0", None])
@@ -378,6 +385,36 @@ def test_time_that_is_none_is_refused(time):
 def test_state_that_is_none_is_refused(state):
     with pytest.raises(ValueError, match=r"state must be 4 finite numbers, position \[m\] and"):
         as_state(four()[0], state)
+
+
+def see_one(mission, thing):
+    return sato.Agent(mission, 0).step(0.0, mission.initial_states[0], [], seen=[thing])
+
+
+@pytest.mark.parametrize(
+    ("thing", "reason"),
+    [
+        ((1,), "seen.0: must be an Obstacle or 2 values, got"),
+        (("1", np.zeros(4)), 'seen.0.0: must be an integer at least 0, got "1"'),
+        ((True, np.zeros(4)), "seen.0.0: must be an integer at least 0, got true"),
+        ((1, np.full(4, np.nan)), "state must be 4 finite numbers"),
+        (sato.Sphere((9.0, 9.0, 9.0), 1.0), "seen.0: has 3 coordinates, and the mission 2"),
+    ],
+)
+def test_what_an_agent_cannot_have_seen_is_refused(thing, reason):
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        see_one(four()[0], thing)
+
+
+@pytest.mark.parametrize("header", [("0", 0, 0), (1.0, 0, 0), (True, 0, 0), (1, -1, 0)])
+def test_messages_have_whole_numbers(header):
+    with pytest.raises(sato.InputError, match="must be an integer at least 0"):
+        AgentMessage(*header, None)
+
+
+def test_memory_of_an_agent_is_that_of_one():
+    with pytest.raises(sato.InputError, match="memory: must be that of an agent, got 3"):
+        sato.Agent(four()[0], 0).memory = 3
 
 
 def test_wrong_use_is_refused_with_a_cure():

@@ -7,7 +7,6 @@ from commitment_examples import stop_at_once
 from reconfiguration_runs import make_mission
 
 import sato
-from sato.reconfiguration.agent_inputs import check_agent
 from sato.reconfiguration.loop import simulate
 
 
@@ -46,5 +45,5 @@ def test_first_states_from_which_agents_do_not_stop_in_reach_are_refused():
             ValueError, match=r"state: agent 0 needs .* m to stop, and within 4\.25"
         ):
             agent.step(0.0, state, [])
-    with pytest.raises(ValueError, match="commitment must be a Commitment, got ndarray"):
-        check_agent(mission, 0, commitment=np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="commitment: must be a Commitment, got an array"):
+        sato.Agent(mission, 0, commitment=np.zeros((3, 2)))

@@ -100,9 +100,6 @@ class CbaaAuction:
             cure = "two components would assign the same points; connect the graph"
             raise ValueError(f"{text}: {cure}")
         loss, rounds = self.loss, self.rounds
-        if not (0 <= loss < 1 and self.delay >= 0 and (rounds is None or rounds > 0)):
-            text = "the loss must be in [0, 1), the delay no less than 0, the rounds positive"
-            raise ValueError(f"{text}, got {loss}, {self.delay} and {rounds}")
         if self.outages is not None and rounds is not None and len(self.outages) < rounds:
             text = f"must be given for all {rounds} rounds, got {len(self.outages)}"
             raise InputError("outages", text)

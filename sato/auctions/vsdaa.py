@@ -60,13 +60,8 @@ class VsdaaAuction:
     nothing of each other, so two of them may choose the same target. Without `bidder_ids` it is
     the printed method, which may assign one target to two agents.
 
-    Args:
-        cost: Cost of each target for each agent.
-        graph: Communication graph, or its adjacency matrix; complete if None.
-        target_count: Number of targets that each agent would bid on, or one for all.
-        epsilon: Bid increment.
-        bidder_ids: Bids carry the bidder's number.
-        opening: Prices at the beginning, if there are any.
+    The graph may be given by its adjacency matrix, or None where it is complete, and m by one
+    number for all.
 
     Raises:
         ValueError: The shapes do not match, a cost is not finite, m is not in 1 … M, or ε is
@@ -104,11 +99,6 @@ class VsdaaAuction:
         """Refuse an auction that cannot end."""
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
-        if agents != len(alive) or agents != len(target_count):
-            raise ValueError(
-                f"costs for {agents} agents, a graph of {len(alive)}, m of {len(target_count)}: "
-                "there must be a row and an m for every agent of the graph"
-            )
         if not np.all(np.isfinite(cost[alive])):
             i, j = next((i, j) for i, j in np.argwhere(~np.isfinite(cost)) if alive[i])
             raise ValueError(

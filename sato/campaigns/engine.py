@@ -66,7 +66,7 @@ def campaign(
         columns: Function of a run that returns a dict of more columns.
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
-        resume: Go on with a table, and so the next five, as in `fly_campaign`.
+        resume: Go on with a table; this and the next five as in `fly_campaign`.
         workers: Number of processes.
         scheduler: Address of a Dask scheduler.
         allow_version: Resume with another version.

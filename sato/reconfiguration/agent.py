@@ -218,7 +218,7 @@ class Agent:
         return self._memory
 
     @memory.setter
-    def memory(self, memory: FlightMemory) -> None:
+    def memory(self, memory: Any) -> None:
         if not isinstance(memory, FlightMemory):
             raise InputError("memory", f"must be that of an agent, got {format_value(memory)}")
         self._memory = memory

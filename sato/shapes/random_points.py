@@ -8,6 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
+from sato.scenario.definition import Amount
 
 MAX_REJECTIONS = 10_000  # successive rejections after which there is taken to be no room
 PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sampling stays quick
@@ -47,7 +48,7 @@ def sample_separated(
 
 @checked
 def sample_positions(
-    count: int, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int = 0
+    count: Amount, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int = 0
 ) -> Float[Array, "count d"]:
     """Draw positions with a least distance in a box of two or three sides from the origin on [m].
 
@@ -57,8 +58,6 @@ def sample_positions(
     Raises:
         ValueError: There is no room.
     """
-    if count < 1:
-        raise ValueError(f"at least one point is needed, got count = {count}")
     if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
         raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
     if not separation >= 0:
@@ -82,7 +81,7 @@ def sample_positions(
 
 @checked
 def sample_formation(
-    count: int, box: Sequence[float], separation: float, rng: np.random.Generator
+    count: Amount, box: Sequence[float], separation: float, rng: np.random.Generator
 ) -> Float[Array, "count 3"]:
     """Draw points with a least horizontal distance in a box of three sides from the origin on [m].
 
