@@ -240,8 +240,8 @@ def _check_number(kind: type, numbers: Numbers) -> Check:
         if number is None or (kind is int and not isinstance(number, int)):
             return None
         if kind is float and isinstance(number, int):
-            number = float(number) if abs(number) <= LARGEST else np.nan
-        if not numbers.admit(number):
+            number = float(number) if abs(number) <= LARGEST else None
+        if number is None or not numbers.admit(number):
             return None
         if kind is int and is_bounded:
             return number
@@ -273,7 +273,8 @@ def _check_class(kind: type) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         if not isinstance(value, kind):
             raise InputError("", f"must be {wanted}, got {describe(value)}")
-        for name, size in getattr(value, "array_sizes", {}).items():
+        known = {} if isinstance(value, type) else getattr(value, "array_sizes", {})
+        for name, size in known.items():
             if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
                 reason = f"must be {sizes.known[name]} as of the others, got {size}"
                 raise InputError(name, reason)

@@ -68,9 +68,10 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
     @wraps(function)
     def enter(*args: Any, **kwargs: Any) -> Any:
         frame = sys._getframe(1)
-        if frame.f_globals.get("__name__") == "dataclasses":  # `replace`
-            frame = frame.f_back or frame
-        if frame.f_globals.get("__name__", "").startswith(INSIDE):
+        caller = frame.f_globals.get("__name__") or ""
+        if caller == "dataclasses" and frame.f_back is not None:  # `replace`
+            caller = frame.f_back.f_globals.get("__name__") or ""
+        if caller.startswith(INSIDE):
             return function(*args, **kwargs)
         try:
             given = _signature(function).bind(*args, **kwargs)

@@ -8,12 +8,12 @@ equatorial orbits too.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import cos, hypot, isfinite, pi, sin, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
-from annotated_types import Gt
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -28,11 +28,13 @@ EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
 K_J2 = 1.5 * EARTH_J2 * EARTH_MU * EARTH_RADIUS**2  # 3/2 J₂ μ R² [m⁵/s²]
 
+Turn = Annotated[float, Ge(-1e4), Le(1e4)]  # angle, whose sine is then exact to 1e-12 [rad]
 # One number, vector or state, or many.
 Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
+MAX_AXIS = 1e9  # about as far as the Earth holds anything [m]
 MAX_TIME = 1e8  # three years; longer ones would be integrated for minutes [s]
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision
@@ -69,9 +71,9 @@ class Orbit:
     r: float
     v_x: float
     h: float
-    raan: float
+    raan: Turn
     inclination: float
-    arg_latitude: float
+    arg_latitude: Turn
     mu: float = EARTH_MU
     k_J2: float = K_J2
 
@@ -92,9 +94,9 @@ class Orbit:
         semi_major_axis: float,
         eccentricity: float = 0.0,
         inclination: float = 0.0,
-        raan: float = 0.0,
-        arg_perigee: float = 0.0,
-        true_anomaly: float = 0.0,
+        raan: Turn = 0.0,
+        arg_perigee: Turn = 0.0,
+        true_anomaly: Turn = 0.0,
         mu: Annotated[float, Gt(0)] = EARTH_MU,
         k_J2: float = K_J2,
     ) -> "Orbit":
@@ -185,8 +187,9 @@ def validate_ellipse(semi_major_axis: float, eccentricity: float) -> None:
         raise ValueError(
             f"eccentricity: an ellipse needs 0 ≤ e < 1, got {eccentricity:.6g}; a circle has e = 0"
         )
-    if not 0 < semi_major_axis < inf:
-        raise ValueError(f"semi_major_axis: must be positive and finite, got {semi_major_axis} m")
+    if not 0 < semi_major_axis <= MAX_AXIS:
+        wanted = f"must be positive and at most {MAX_AXIS:.0e} m"
+        raise ValueError(f"semi_major_axis: {wanted}, got {semi_major_axis} m")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= EARTH_RADIUS:
         raise ValueError(
             f"the perigee, {perigee / 1e3:.0f} km from the center, is inside the Earth, whose "

@@ -1,13 +1,14 @@
 """Alignment of a shape with measured points, in closed form, and the distance that remains."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from dynamics.doors import checked
+from dynamics.doors import MAY_BE_NAN, checked
+from dynamics.inputs import InputError
 
 
 @checked
@@ -27,7 +28,7 @@ class Pose:
 @checked
 def align(
     shape: Float[Array, "*#swarm k 3"],
-    measured: Float[Array, "*#swarm k 3"],
+    measured: Annotated[Float[Array, "*#swarm k 3"], MAY_BE_NAN],
     mask: Bool[Array, "*#swarm k"] | None = None,
 ) -> Pose:
     """Find the pose that brings a shape nearest to measured points.
@@ -60,6 +61,8 @@ def align(
         raise ValueError("mask: at least one measured point is needed, got none")
     p, s, about_p = _center(shape, mask)
     q, w, about_q = _center(measured, mask)
+    if not np.isfinite(about_q).all():
+        raise InputError("measured", "must be finite where the mask is True")
     inner = (s.conj() * w).sum(axis=-1)
     # Below this, the inner product is rounding of large coordinates and has no direction.
     rounding = 8 * np.finfo(float).eps * (_norm(p) * _norm(w) + _norm(s) * _norm(q))

@@ -1,15 +1,19 @@
 """Optimal assignment from all costs, and its prices, to compare with auctions or forecast one."""
 
+from typing import Annotated
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
-from dynamics.doors import checked
+from dynamics.doors import ANY_NUMBER, checked
 
 
 @checked
-def solve_assignment(cost: Float[Array, "agents targets"]) -> Int[Array, " agents"]:
+def solve_assignment(
+    cost: Annotated[Float[Array, "agents targets"], ANY_NUMBER],
+) -> Int[Array, " agents"]:
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
     This needs all costs at once. No agent of a swarm knows those of the others for certain.

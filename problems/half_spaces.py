@@ -47,6 +47,8 @@ class HalfSpaces(NamedTuple):
         """Express the left-hand sides in CVXPY variables."""
         import cvxpy as cp
 
+        if self.step_index.max(initial=-1) >= u.shape[0]:
+            raise InputError("u", f"must have more than {self.step_index.max()} steps")
         on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 

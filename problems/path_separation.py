@@ -1,11 +1,13 @@
 """Separation of paths: pieces keep a distance where the hulls of their control points do."""
 
+from typing import Annotated
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from dynamics.convex_hulls import are_outside
-from dynamics.doors import checked
+from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.trajectory_geometry import hull_distance
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
@@ -18,7 +20,7 @@ ROUNDING = 1e-9  # relative, of distances
 
 @checked
 def are_hulls_separated(
-    relative: ControlPoints, radius: Separation, is_exact: bool = True
+    relative: Annotated[ControlPoints, MAY_BE_NAN], radius: Separation, is_exact: bool = True
 ) -> Bool[Array, "*pairs"]:
     """Return True where the hull of the control points lies outside the circle.
 

@@ -28,6 +28,8 @@ Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 class Expression(Protocol):
     """Expression of CVXPY, which is imported only where it is needed."""
 
+    shape: tuple[int, ...]
+
     def is_affine(self) -> bool:
         """Tell whether it is affine."""
 
@@ -87,8 +89,8 @@ class TransferProblem:
     """
 
     model: DiscreteModel
-    max_control: Bound
-    max_speed: Bound = inf
+    max_control: Annotated[Bound, Gt(0)]
+    max_speed: Annotated[Bound, Gt(0)] = inf
     fuel_norm: Norm = 1
     control_norm: Norm = "inf"
     tie_break_rise: float = 0.0

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from numpy.random import Generator
 
+from dynamics.doors import checked
 from sato.check.report import Report
 from sato.run_data import RunData
 
@@ -92,6 +93,7 @@ class Frame(Protocol):
         """Events of this instant, {"kind": …, "agents": […], …}; the record adds the time."""
 
 
+@checked
 class MissionProgress(NamedTuple):
     """Progress of a simulation."""
 
@@ -107,6 +109,7 @@ MissionT = TypeVar("MissionT")
 FrameT = TypeVar("FrameT", bound=Frame)
 
 
+@checked
 @dataclass(frozen=True)
 class System(Generic[MissionT, FrameT]):
     """Parts of a system, from which all else follows; missions are drawn ones."""

@@ -29,6 +29,9 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     for name in ("x", "u", "position", "velocity")
 } | {
     "align.measured": ("nan entry",),
+    "are_hulls_separated.relative": ("nan entry",),  # from what is nowhere nothing is separated
+    "GainMatrix.bound_xy": ("inf",),  # proves nothing
+    "GainMatrix.bound_z": ("inf",),
     **{
         f"ConicSolution.{name}": ("nan", "inf", "nan entry", "inf entry")  # of a solver that fails
         for name in ("x", "y", "primal_residual", "dual_residual", "gap")

@@ -16,6 +16,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "Reconfiguration.max_speed": ("inf",),  # no limit
     "expect_small_error.errors": ("nan", "nan entry", "inf", "inf entry", "bool", "bool entries"),
     "Connectivity.start": ("empty",),
+    "FormationLeg.formation": ("text", "long text"),  # a name
 }
 START = np.array([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0], [9.0, 0.0]])
 SQUARE = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [3.0, 3.0, 0.0]])
@@ -31,6 +32,7 @@ def list_calls() -> Iterator[Call]:
     yield from _runs()
     yield from _agents()
     yield from _auctions()
+    yield from _systems()
 
 
 def _given(value: Any, *names: str) -> dict[str, Any]:
@@ -287,3 +289,24 @@ def _auctions() -> Iterator[Call]:
     cbaa = {"agent_id": 0, "score": cost[0], "agent_count": 3, "bids": bids}
     yield CbaaBidder, cbaa
     yield CbaaBidder(**cbaa).update, {"inbox": [bids]}
+
+
+def _systems() -> Iterator[Call]:
+    from PIL import Image
+
+    import sato
+    from sato.interfaces import MissionProgress, System
+    from sato.scenario.definition import Convert, In, fields_of
+    from sato.scenario.file import Mission
+    from sato.systems import load_system
+
+    Image.new("L", (20, 10), 0).save("picture.png")
+    picture = sato.Picture(file="picture.png", height=5.0)
+    yield sato.Picture, {"file": "picture.png", "height": 5.0, "invert": False}
+    yield picture.draw, {"count": 4, "axes": 2}
+    yield In, {"table": "plan"}
+    yield Convert, {"function": tuple}
+    yield Mission, {"name": "mission"}
+    yield MissionProgress, {"stage": "leg 1 of 2", "done": 1, "total": 2, "details": ""}
+    yield fields_of, {"definition": sato.Loss}
+    yield System, _given(load_system("formation"))

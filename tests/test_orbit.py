@@ -124,5 +124,5 @@ def test_orbits_that_escape_are_refused():
 
 
 def test_times_before_0_are_refused():
-    with pytest.raises(ValueError, match="from time 0 on, got t = -1"):
+    with pytest.raises(ValueError, match=r"from time 0 on, .* got -1"):
         low().elements_at(np.array([3.0, -1.0]))

@@ -235,7 +235,6 @@ assert [agent.target for agent in agents] == grown.target_index.tolist()
 
 # %%
 twins = np.array([[1.0, 2.0], [1.0, 2.0]])
-pair = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
 for bidder_ids in (False, True):
     tie = run_vsdaa(VsdaaAuction(twins, None, 2, epsilon, bidder_ids))
     name = "with numbers" if bidder_ids else "as printed"

@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy import ndarray as Array
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError, WrapValidator
 
-from dynamics.doors import check_methods
+from dynamics.doors import check_methods, checked
 from dynamics.inputs import as_array as as_array
 from dynamics.inputs import shorten
 from dynamics.units import Key as Key
@@ -41,12 +41,14 @@ LATER: Any = None  # default of a field that follows from others, or is drawn
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
+@checked
 class In(NamedTuple):
     """Table of the scenario file that holds a field."""
 
     table: str
 
 
+@checked
 class Convert(NamedTuple):
     """Conversion of what Python users may give for a field: an array for a list of points."""
 
@@ -215,7 +217,8 @@ class Field:
         return type(value)(*[f.check(getattr(value, f.name)) for f in fields_of(type(value))])
 
 
-def fields_of(definition: Any) -> tuple[Field, ...]:
+@checked
+def fields_of(definition: type) -> tuple[Field, ...]:
     """Collect the fields of a definition, a frozen dataclass or a named tuple."""
     return _fields_of(definition)
 

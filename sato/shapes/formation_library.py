@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 from numpy.random import Generator
 
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from problems.desired_formation import DesiredFormation
 from sato.scenario.errors import join_names
 from sato.shapes.shape import read_points, read_rows
@@ -114,10 +115,12 @@ def _match_name(name: str) -> str:
 
 
 @checked
-def graph_from_edges(count: int, edges: Sequence[Sequence[int]]) -> Bool[Array, "n n"]:
+def graph_from_edges(count: int, edges: Sequence[tuple[int, int]]) -> Bool[Array, "n n"]:
     """Return the adjacency matrix of a graph with these edges."""
+    i, j = np.array(edges, dtype=int).reshape(-1, 2).T
+    if count < 1 or min([*i, *j, 0]) < 0 or max([*i, *j, 0]) >= count:
+        raise InputError("edges", f"must join vertices from 0 on, below count = {count}")
     graph = np.zeros((count, count), dtype=bool)
-    i, j = np.array(edges).T
     graph[i, j] = graph[j, i] = True
     return graph
 
