@@ -278,7 +278,8 @@ def _check_class(kind: type) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         if not isinstance(value, kind):
             raise InputError("", f"must be {wanted}, got {describe(value)}")
-        for name, size in getattr(value, "array_sizes", {}).items():
+        known = {} if isinstance(value, type) else getattr(value, "array_sizes", {})
+        for name, size in known.items():
             if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
                 reason = f"must be {sizes.known[name]} as of the others, got {size}"
                 raise InputError(name, reason)

@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 from scipy.sparse import block_diag, bsr_array, csc_matrix, eye_array, hstack
 
 from dynamics.doors import checked
-from dynamics.inputs import InputError
-from dynamics.symbols import Numbers
+from dynamics.inputs import InputError, check_finite, read_array
+from dynamics.symbols import is_symbolic
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.limit import Limit
 from problems.transfer import TransferProblem
@@ -107,11 +107,15 @@ class NonlinearProgram:
         if len(self.state_units) != 2 * self.shape[2]:
             raise InputError("state_units", f"must be {2 * self.shape[2]}, as a state has entries")
 
-    def trajectories(self, x: Numbers[Array, "..."]) -> InitialGuess:
+    def trajectories(self, x: Any) -> InitialGuess:
         """Return states and controls of all agents, from a value of "x"."""
         N, T, m = self.shape
         states = N * (T + 1) * 2 * m
-        z = np.asarray(x, dtype=float).ravel()
+        try:
+            z = np.array(x).ravel() if is_symbolic(x) else read_array(x).astype(float).ravel()
+            check_finite(z)
+        except InputError as error:
+            raise error.inside("x") from error
         if len(z) < states + 2 * N * T * m:
             raise InputError("x", f"must have {states + 2 * N * T * m} entries, got {len(z)}")
         plus, minus = z[states : states + 2 * N * T * m].reshape(2, N, T, m)

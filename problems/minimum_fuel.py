@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
@@ -52,7 +52,7 @@ class MinimumFuelSolutions(NamedTuple):
 def solve_minimum_fuel(
     steps: DiscreteModel,
     displacement: Float[Array, "programs n"],
-    max_control: Bound,
+    max_control: Annotated[Bound, Gt(0)],
     weight: Float[Array, " T"],
     batches: Annotated[int, Ge(1)] = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:

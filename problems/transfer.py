@@ -90,8 +90,8 @@ class TransferProblem:
     """
 
     model: DiscreteModel
-    max_control: Bound
-    max_speed: Bound = inf
+    max_control: Annotated[Bound, Gt(0)]
+    max_speed: Annotated[Bound, Gt(0)] = inf
     fuel_norm: Norm = 1
     control_norm: Norm = "inf"
     tie_break_rise: float = 0.0

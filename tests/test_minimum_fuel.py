@@ -213,7 +213,7 @@ def test_highs_solves_what_is_not_solved_or_wrongly_solved(rng, monkeypatch, wro
     ("message", "changes"),
     [
         ("at least one step", {"steps": plane[:0], "weight": np.ones(0)}),
-        ("max_control must be positive and finite, got 0", {"max_control": 0.0}),
+        ("max_control: must be a finite number above 0", {"max_control": 0.0}),
         ("max_control: must be a finite number", {"max_control": np.inf}),
         (
             r"displacement: .* with nan at \[1, 0\]",

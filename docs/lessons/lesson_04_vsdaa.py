@@ -165,7 +165,7 @@ print_rounds(history)
 # target of its own.
 
 # %%
-result = run_vsdaa(VsdaaAuction(cost, graph, np.full(4, 4), epsilon))  # of sato
+result = run_vsdaa(VsdaaAuction(cost, graph, 4, epsilon))  # of sato
 assert [agent.target for agent in agents] == result.target_index.tolist()
 assert all(np.array_equal(a.price, p) for a, p in zip(agents, result.price, strict=True))
 assert len(history) == result.round_count
@@ -224,7 +224,7 @@ agents, history = run_by_hand(cost, graph, 3, epsilon, 2 * D)
 print_rounds(history)
 assert [agent.m for agent in agents] == [4, 4, 4, 4]
 assert sorted(agent.target for agent in agents) == [0, 1, 2, 3]
-grown = run_vsdaa(VsdaaAuction(cost, graph, np.full(4, 3), epsilon))
+grown = run_vsdaa(VsdaaAuction(cost, graph, 3, epsilon))
 assert [agent.target for agent in agents] == grown.target_index.tolist()
 
 # %% [markdown]
@@ -235,9 +235,8 @@ assert [agent.target for agent in agents] == grown.target_index.tolist()
 
 # %%
 twins = np.array([[1.0, 2.0], [1.0, 2.0]])
-pair = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
 for bidder_ids in (False, True):
-    tie = run_vsdaa(VsdaaAuction(twins, pair, np.full(2, 2), epsilon, bidder_ids))
+    tie = run_vsdaa(VsdaaAuction(twins, None, 2, epsilon, bidder_ids))
     name = "with numbers" if bidder_ids else "as printed"
     print(f"{name:12}: targets {tie.target_index}")
     assert len(set(tie.target_index.tolist())) == (2 if bidder_ids else 1)
