@@ -73,26 +73,15 @@ class Orbit:
             no known body and there is no k_J2.
     """
 
-<<<<<<< HEAD
     r: Length
     v_x: Speed
     h: Annotated[float, Unit("m2_s")]
-    raan: Angle
+    raan: Turn
     inclination: Angle
-    arg_latitude: Angle
+    arg_latitude: Turn
     mu: Annotated[float, Unit("m3_s2")] = EARTH_MU
     k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU
     body_radius: Length = FROM_MU
-=======
-    r: float
-    v_x: float
-    h: float
-    raan: Turn
-    inclination: float
-    arg_latitude: Turn
-    mu: float = EARTH_MU
-    k_J2: float = K_J2
->>>>>>> 677c20e59959012fe7eb87f4f02fb447bc722f57
 
     def __post_init__(self) -> None:
         """Complete the gravity, and check that the state is on an ellipse above the surface."""
@@ -111,7 +100,6 @@ class Orbit:
         cls,
         semi_major_axis: Length,
         eccentricity: float = 0.0,
-<<<<<<< HEAD
         inclination: Angle = 0.0,
         raan: Angle = 0.0,
         arg_perigee: Angle = 0.0,
@@ -119,14 +107,6 @@ class Orbit:
         mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU,
         k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU,
         body_radius: Length = FROM_MU,
-=======
-        inclination: float = 0.0,
-        raan: Turn = 0.0,
-        arg_perigee: Turn = 0.0,
-        true_anomaly: Turn = 0.0,
-        mu: Annotated[float, Gt(0)] = EARTH_MU,
-        k_J2: float = K_J2,
->>>>>>> 677c20e59959012fe7eb87f4f02fb447bc722f57
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.
 
