@@ -253,7 +253,7 @@ def run(
             own = (print_processes,) if progress is True else ()
             system = as_processes(system, mission, int(seed), processes, port, speed, *own)
         for sentence in drawn.warnings():
-            warnings.warn(sentence, stacklevel=2)
+            warnings.warn(sentence, stacklevel=3)
         callback: FrameCallback = progress if callable(progress) else (lambda mission, frame: None)
         bar = show_mission_progress(system.progress) if progress is True else nullcontext(callback)
         with flight_frames.watching(callback) if is_own(callback) else bar as callback:
@@ -349,7 +349,7 @@ def _check_flown(run: Run) -> Run:
     # Neither Ctrl-C nor a fault in a check may lose what was flown.
     try:
         if run.report.failure:
-            warnings.warn(f"the run could not be checked: {run.report.failure}", stacklevel=3)
+            warnings.warn(f"the run could not be checked: {run.report.failure}", stacklevel=4)
     except KeyboardInterrupt:
         vars(run)["report"] = Report((), {}, failure="interrupted")
     return run

@@ -104,7 +104,7 @@ class Agent:
         if leg_start is not None:
             believed, start = target_count or 1, as_instant(mission, "leg_start", leg_start)
         for sentence in list_doubts(mission):
-            warnings.warn(sentence, stacklevel=2)
+            warnings.warn(sentence, stacklevel=3)
         self.mission, self.number = mission, number
         # Of arrays that have a row for each agent, only the row of this one counts.
         alone = np.arange(number + 1) == number

@@ -42,9 +42,10 @@ def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBou
     where it joined. A plant that is not the model may take an agent to its target for less, as a
     flight far from the chief does, about which the model is linear: there it is an estimate. By the
     model, its controls would end elsewhere; the fuel that moves that end to the target, alone and
-    limited by the control only, is as much as the plant can have saved (`correction_fuel`),
-    while limits do not bind. There is no bound where the leg did not end, an agent could not have
-    arrived, or the instance is too large for norms without a method for all pairs.
+    limited by the control only, is as much as the plant can have saved (`correction_fuel`) on a
+    bound with limits that allow both (`compute_fuel_shortfall`). There is no bound where the leg
+    did not end, an agent could not have arrived, or the instance is too large for norms without a
+    method for all pairs.
     """
     costs = _make_leg_costs(record, leg, "fuel")
     if costs is None:
@@ -85,6 +86,25 @@ def compute_energy_bound(record: ReconfigurationRecord, leg: LegRecord) -> Assig
     return AssignmentCost(*[np.nan] * 3) if costs is None else costs.compute_assignment()
 
 
+def compute_fuel_shortfall(
+    record: ReconfigurationRecord, leg: LegRecord, bound: FuelBound, used: float
+) -> float:
+    """Compute by how much the fuel that a leg used [m/s] is below its lower bound, relative.
+
+    By the model, controls that were flown on a plant, and those that correct their end, reach the
+    targets together. Each is within the limit in every axis, their sum within a larger one.
+    """
+    mission, least = record.mission, bound.total
+    most = float(mission.largest_control.max()) * mission.step
+    needed = used + float(bound.correction_fuel.sum())
+    if least > needed and (mission.has_noise or not mission.flies_model):
+        costs = _make_leg_costs(record, leg, "fuel", limit_factor=1.0 + mission.axes)
+        least = np.nan if costs is None else costs.compute_assignment().bound
+    # A bound that is nearly 0 is known to rounding of what could be burned at most.
+    scale = max(least, 1e-3 * most * leg.step_count * len(bound.agents))
+    return float(np.nan_to_num((least - needed) / scale))
+
+
 def compute_energy_shortfall(
     record: ReconfigurationRecord, leg: LegRecord, bound: AssignmentCost
 ) -> float:
@@ -97,7 +117,7 @@ def compute_energy_shortfall(
     used = compute_step_energy(record)[leg.start_index : leg.end_index, leg.alive].sum()
     least, saved = bound.bound, 0.0
     if record.mission.has_noise or not record.mission.flies_model:
-        costs = _make_leg_costs(record, leg, "energy", with_limits=False)
+        costs = _make_leg_costs(record, leg, "energy", limit_factor=np.inf)
         if costs is None:
             return 0.0
         least = costs.compute_assignment().bound
@@ -109,7 +129,7 @@ def compute_energy_shortfall(
 
 
 def _make_leg_costs(
-    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective", with_limits: bool = True
+    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective", limit_factor: float = 1.0
 ) -> "_LegCosts | None":
     from problems.auction_cost import compute_energies, compute_transfer_costs
 
@@ -138,11 +158,11 @@ def _make_leg_costs(
         together = np.flatnonzero(first == k)
         for own in mission.group_by_limits(agents[together]):
             rows, model = together[own], record.model[slice(k, leg.end_index)]
-            if not with_limits:
+            if np.isinf(limit_factor):
                 cost[rows] = compute_energies(model, start[rows], targets)
                 continue
             agent = int(agents[rows[0]])
-            most = mission.control_limit(agent).bound
+            most = limit_factor * mission.control_limit(agent).bound
             problem = mission.make_transfer(model, agent, max_control=most, objective=objective)
             found = compute_transfer_costs(problem, start[rows], targets)
             cost[rows] = np.where(found.is_reachable, found.cost, np.inf)

@@ -20,7 +20,11 @@ from sato.check.report import (
     expect_small_error,
 )
 from sato.reconfiguration.check.clearance import find_excess
-from sato.reconfiguration.check.fuel import compute_energy_shortfall, compute_step_fuel
+from sato.reconfiguration.check.fuel import (
+    compute_energy_shortfall,
+    compute_fuel_shortfall,
+    compute_step_fuel,
+)
 from sato.reconfiguration.check.legs import (
     check_assignment,
     check_blocked,
@@ -298,16 +302,12 @@ def check_fuel(record: ReconfigurationRecord) -> Promise:
     objective, so is its bound.
     """
     burned, shortfalls = compute_step_fuel(record), [0.0]
-    most = float(record.mission.largest_control.max()) * record.mission.step
     for k, (leg, bound) in enumerate(zip(record.leg_records, record.fuel_bounds, strict=True)):
         if not is_reached(record, leg):
             continue
         if bound is not None:
             used = float(burned[leg.start_index : leg.end_index, bound.agents].sum())
-            saved = float(bound.correction_fuel.sum())
-            # A bound that is nearly 0 is known to rounding of what could be burned at most.
-            scale = max(bound.total, 1e-3 * most * leg.step_count * len(bound.agents))
-            shortfalls.append((bound.total - used - saved) / scale)
+            shortfalls.append(compute_fuel_shortfall(record, leg, bound, used))
         if record.mission.objective == "energy":
             shortfalls.append(compute_energy_shortfall(record, leg, record.energy_bounds[k]))
     text = "a leg's fuel or energy below its lower bound, relative"
