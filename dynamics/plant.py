@@ -14,7 +14,7 @@ from dynamics.discretize import discretize_zoh
 from dynamics.doors import check_methods, checked
 from dynamics.inputs import InputError
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
-from dynamics.orbit import Orbit
+from dynamics.orbit import MAX_TIME, Orbit
 
 Samples = Float[Array, "{substeps}+1 agents n"]
 
@@ -169,9 +169,10 @@ def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int
             f"agents in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
             f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
         )
-    if not 0 < dt < np.inf or substeps < 1:
+    if not 0 < dt <= MAX_TIME or substeps < 1:
         raise ValueError(
-            "the duration must be positive and finite, with at least one substep, got "
+            f"the duration must be positive and at most {MAX_TIME:.0e} s, with at least one "
+            "substep, got "
             f"dt = {dt} s and substeps = {substeps}"
         )
     wrong = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))

@@ -16,6 +16,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "Reconfiguration.max_speed": ("inf",),  # no limit
     "expect_small_error.errors": ("nan", "nan entry", "inf", "inf entry", "bool", "bool entries"),
     "Connectivity.start": ("empty",),
+    "CommunicationGraph.from_positions.radius": ("inf",),  # all hear all
     "FormationLeg.formation": ("text", "long text"),  # a name
 }
 START = np.array([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0], [9.0, 0.0]])
