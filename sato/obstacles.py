@@ -263,8 +263,8 @@ class Polytope(Obstacle):
         return intersect_half_spaces(np.asarray(self.normals), np.array(self.offsets))
 
     def scaled(self, factors: Factors) -> "Polytope":  # noqa: D102
-        corners = np.array([_scale(corner, factors) for corner in self._listed.tolist()])
-        return Polytope(corners, **self._scale_motion(factors))
+        each = np.array(_scale((1.0,) * self.axes, factors))
+        return Polytope(self._listed * each, **self._scale_motion(factors))
 
     @property
     def place(self) -> Float[Array, " d"]:  # noqa: D102

@@ -174,11 +174,11 @@ def test_full_box_is_refused_with_a_size_that_would_do(draw, box, full, rng):
 @pytest.mark.parametrize(
     ("count", "box", "separation", "message"),
     [
-        (0, (1.0, 1.0, 1.0), 1.0, "at least one"),
+        (0, (1.0, 1.0, 1.0), 1.0, "count: must be an integer above 0"),
         (3, (1.0, 1.0), 1.0, "three sides, got 2"),
         (3, (1.0, 0.0, 1.0), 1.0, "positive sides"),
-        (3, (1.0, 1.0, 1.0), -1.0, "separation must not be negative"),
-        (3, (1.0, 1.0, 1.0), np.nan, "separation must not be negative"),
+        (3, (1.0, 1.0, 1.0), -1.0, "separation: must be a finite number"),
+        (3, (1.0, 1.0, 1.0), np.nan, "separation: must be a finite number"),
     ],
 )
 def test_impossible_random_formation_is_refused(count, box, separation, message, rng):

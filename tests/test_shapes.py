@@ -361,7 +361,7 @@ def test_impossible_shape_is_refused_with_a_reason(kind, given, message):
 
 def test_impossible_count_or_point_is_refused():
     for count in (0, -3):
-        with pytest.raises(ValueError, match=f"at least one target, got count = {count}"):
+        with pytest.raises(ValueError, match=f"count: must be an integer above 0, got {count}"):
             Ring(radius=1.0).place(count, 2)
 
 

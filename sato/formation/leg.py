@@ -119,7 +119,7 @@ class EdgeList(Definition):
             if i == j or max(i, j) >= count:
                 text = f"[{i}, {j}] is no pair of two of the points, which are 0 to {count - 1}"
                 raise InputError("pairs", text)
-        return library.graph_from_edges(count, self.pairs.tolist())
+        return library.graph_from_edges(count, self.pairs)
 
 
 AnyFormation = RandomFormation | LibraryFormation | FormationFile | AnyShape

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from collections.abc import Sequence
 from difflib import get_close_matches
 from functools import cache
 from math import ceil
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from numpy.random import Generator
 
@@ -61,7 +60,7 @@ def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> Desi
         rng = np.random.default_rng(entry["seed"])
         adjacency = random_sparse_graph(points, entry["share"], rng)
     elif graph == "own" and "edges" in entry:
-        adjacency = graph_from_edges(len(points), entry["edges"])
+        adjacency = graph_from_edges(len(points), np.array(entry["edges"]))
     return make_formation(points, adjacency, full_name)
 
 
@@ -122,9 +121,9 @@ def _match_name(name: str) -> str:
 
 
 @checked
-def graph_from_edges(count: int, edges: Sequence[tuple[int, int]]) -> Bool[Array, "n n"]:
+def graph_from_edges(count: int, edges: Int[Array, "edges 2"]) -> Bool[Array, "n n"]:
     """Return the adjacency matrix of a graph with these edges."""
-    i, j = np.array(edges, dtype=int).reshape(-1, 2).T
+    i, j = edges.T
     if count < 1 or min([*i, *j, 0]) < 0 or max([*i, *j, 0]) >= count:
         raise InputError("edges", f"must join vertices from 0 on, below count = {count}")
     graph = np.zeros((count, count), dtype=bool)
@@ -165,7 +164,7 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
         if i == j:
             raise ValueError(f"{where}: vertex {i} cannot be its own neighbor; drop the line")
         edges.append((i, j))
-    return graph_from_edges(count, edges)
+    return graph_from_edges(count, np.array(edges, dtype=int).reshape(-1, 2))
 
 
 @checked
