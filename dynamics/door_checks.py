@@ -122,19 +122,19 @@ class Check(NamedTuple):
     convert: Callable[[Any, Sizes], Any]
 
 
-class Numbers(NamedTuple):
+class NumberRule(NamedTuple):
     """Numbers that an annotation allows besides its type."""
 
     allow: Allow = Allow()
     limits: tuple[Any, ...] = ()
     unit: str = ""  # suffix of the SI unit
 
-    def with_marks(self, marks: list[Any]) -> "Numbers":
+    def with_marks(self, marks: list[Any]) -> "NumberRule":
         """Add the marks of an annotation."""
         allow = next((mark for mark in marks if isinstance(mark, Allow)), self.allow)
         limits = (*self.limits, *(mark for mark in marks if type(mark) in LIMITS))
         unit = next((mark.suffix for mark in marks if isinstance(mark, Unit)), self.unit)
-        return Numbers(allow, limits, unit)
+        return NumberRule(allow, limits, unit)
 
     def words(self) -> str:
         """Write the limits: " above 0 and at most 1"."""
@@ -153,7 +153,7 @@ class Numbers(NamedTuple):
         return bool(is_real.all()) and all(is_within)
 
 
-FINITE = Numbers()
+FINITE = NumberRule()
 
 
 @cache
@@ -161,7 +161,7 @@ def checks_of(function: Any) -> dict[str, Check]:
     """Make the checks of a function's arguments, by name."""
     hints, checks = _read_hints(function), dict[str, Check]()
     for name, parameter in inspect.signature(function).parameters.items():
-        numbers = Numbers(Allow(infinite=_is_infinite(parameter.default)))
+        numbers = NumberRule(Allow(infinite=_is_infinite(parameter.default)))
         if (check := make_check(hints.get(name, Any), numbers)) is not None:
             checks[name] = check
     return checks
@@ -181,7 +181,7 @@ def _is_infinite(value: Any) -> bool:
     return isinstance(value, float) and bool(np.isinf(value))
 
 
-def make_check(hint: Any, numbers: Numbers = FINITE) -> Check | None:
+def make_check(hint: Any, numbers: NumberRule = FINITE) -> Check | None:
     """Make the check of an annotation; None where it takes everything."""
     origin, parts = get_origin(hint), get_args(hint)
     if isinstance(hint, str):
@@ -234,7 +234,7 @@ def _read_number(value: Any) -> Any:
     return value if is_number else None
 
 
-def _check_number(kind: type, numbers: Numbers) -> Check:
+def _check_number(kind: type, numbers: NumberRule) -> Check:
     words = {int: "an integer", float: "a number" if numbers.allow.infinite else "a finite number"}
 
     is_positive = any(getattr(mark, "gt", None) == 0 for mark in numbers.limits)
@@ -373,7 +373,7 @@ def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
         raise error.inside(key) from error.__cause__
 
 
-def _check_array(hint: Any, numbers: Numbers) -> Check:
+def _check_array(hint: Any, numbers: NumberRule) -> Check:
     kinds, dtype, name = ARRAYS.get(hint.dtypes[0], ("iuf", float, "finite numbers"))
     if "complex64" in hint.dtypes:
         kinds = "iufc"

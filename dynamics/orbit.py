@@ -36,7 +36,7 @@ Scalars = Number | Numbers[Array, "*#k"]
 Vectors = Numbers[Array, "*#k 3"]
 OrbitStates = Numbers[Array, "*k 6"]  # polar-nodal elements, or positions and velocities
 
-MAX_AXIS = 5e8  # beyond the Moon [m]
+MAX_AXIS = 1e13  # beyond the orbit of Neptune [m]
 MAX_TIME = 1e8  # three years; longer ones would be integrated for minutes [s]
 SEGMENT_DURATION = 3600.0  # the orbit is integrated and cached in segments of this length [s]
 RTOL = 1e-13  # of the integration, near the resolution of double precision

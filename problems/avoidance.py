@@ -216,6 +216,9 @@ class AvoidanceProblem:
 
         Args:
             unknowns: Its unknowns, in units of the limits.
+
+        Raises:
+            InputError: There are too few.
         """
         T, _, m = self.transfer.model.B.shape
         limit, parts = self.transfer.control_limit, unknowns[: self.unknown_controls]

@@ -108,7 +108,11 @@ class NonlinearProgram:
             raise InputError("state_units", f"must be {2 * self.shape[2]}, as a state has entries")
 
     def trajectories(self, x: Any) -> InitialGuess:
-        """Return states and controls of all agents, from a value of "x"."""
+        """Return states and controls of all agents, from a value of "x".
+
+        Raises:
+            InputError: The value is no finite array, or has too few entries.
+        """
         N, T, m = self.shape
         states = N * (T + 1) * 2 * m
         try:

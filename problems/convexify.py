@@ -137,6 +137,9 @@ class AvoidanceHorizon:
         Args:
             x: Positions [m] and velocities [m/s].
             u: Accelerations, held over each step [m/s²].
+
+        Raises:
+            InputError: There are fewer states than the steps need.
         """
         T, pieces, d = min(u.shape[-2], self.steps), len(self.fine_model), u.shape[-1]
         if x.shape[-2] <= T:

@@ -300,7 +300,11 @@ class TransferProblem:
     def build_cvxpy(
         self, start: Float[Array, " n"] | Expression
     ) -> tuple[Any, Any, Any, list[Any]]:
-        """Build variables x and u, cost and constraints in CVXPY, all but the arrival."""
+        """Build variables x and u, cost and constraints in CVXPY, all but the arrival.
+
+        Args:
+            start: Position [m] and velocity [m/s] at the start, or a parameter of CVXPY.
+        """
         import cvxpy as cp
 
         A, B, z, dt = self.model.A, self.model.B, self.model.z, self.model.dt

@@ -82,7 +82,7 @@ def test_agents_of_numbers_beyond_the_start_fly_with_every_feature(name):
     assert sorted(away.argmin(axis=1)) == [0, 1, 2] and away.min(axis=1).max() < 0.3
 
 
-def test_agents_of_numbers_beyond_the_start_decide_in_rounds_that_take_time():
+def test_agents_of_numbers_beyond_the_start_decide_over_slow_rounds():
     mission = mission_of({"link": Link(round=0.02)} | PLANE["box and obstacle"])
     agents = {i: sato.Agent(mission, i, target_count=3, leg_start=0.0) for i in NUMBERS}
     places = {i: np.array([3.0 * a - 3.0, 0.0, 0.0, 0.0]) for a, i in enumerate(NUMBERS)}

@@ -53,7 +53,7 @@ def test_leg_of_thousands_of_steps_is_doubted_before_the_flight(changes):
     assert draw(scaled(1.0, "auto"), RNG).warnings() == []
 
 
-def test_leg_too_long_for_its_programs_is_refused_before_memory_is_asked_for():
+def test_leg_too_long_for_its_programs_is_refused_before_memory_is_taken():
     with pytest.raises(ValueError, match=r"leg.0.steps: a transfer of .* GB of memory, and there"):
         draw(scaled(1000.0, "auto", max_speed=0.02, max_control=0.2), RNG)
 

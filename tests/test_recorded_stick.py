@@ -33,7 +33,7 @@ def test_file_of_unix_seconds_is_flown_from_its_first_row(tmp_path):
     assert drawn.stick.times.tolist() == [0.0, 0.5, 3.0]
 
 
-def test_recording_from_before_the_flight_begins_with_the_command_of_that_time():
+def test_recording_from_before_the_flight_begins_with_its_command_then():
     drawn = mission_of([-3.0, -1.0, 0.5]).draw(np.random.default_rng(0))
     assert drawn.stick.command_velocity(0.0, np.zeros(3), 0).tolist() == AHEAD
 
