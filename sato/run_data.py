@@ -46,7 +46,8 @@ class RunData:
         """Refuse variables of which one has another size along a dimension than another."""
         sizes: dict[str, int] = {}
         for name, value in self.attrs.items():
-            if not isinstance(value, str | bool | int | float | np.generic | Array):
+            entries = value if isinstance(value, list | tuple) else [value]
+            if not all(isinstance(one, str | int | float | np.generic | Array) for one in entries):
                 reason = f"must be text, a number or an array, got {format_value(value)}"
                 raise InputError(f"attrs.{name}", reason)
         for name, (dims, values, _) in self.variables.items():
