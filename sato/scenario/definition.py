@@ -303,7 +303,8 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        one = f"{value:g}" if abs(value) < 1e300 else format_value(value)
+        is_huge = isinstance(value, int) and abs(value) > 1e30
+        one = format_value(value) if is_huge else f"{value:g}"
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
 
