@@ -323,7 +323,7 @@ def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | 
             except InputError as error:
                 if error.key or len(each) == 1:
                     raise  # of an entry: the kind is right
-        raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")
+        raise _refusal(wanted(sizes), value)
 
     def wanted(sizes: Sizes) -> str:
         return join_names(dict.fromkeys(check.wanted(sizes) for check in each))
@@ -331,12 +331,16 @@ def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | 
     return Check(wanted, convert)
 
 
+def _refusal(wanted: str, value: Any) -> InputError:
+    cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
+    return InputError("", f"must be {wanted}, got {describe(value)}{cure * ('a list' in wanted)}")
+
+
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
         is_list = isinstance(value, list | tuple | range | Array)
         if not is_list or (type(value) is Array and not value.ndim):
-            cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
-            raise InputError("", f"must be a list, got {describe(value)}{cure}")
+            raise _refusal("a list", value)
         if check is None:
             return value
         found = (check_entry(str(i), check, entry, sizes) for i, entry in enumerate(value))

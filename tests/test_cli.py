@@ -9,6 +9,7 @@ import tempfile
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,7 +63,8 @@ def call(*words: str) -> Result:
     return CliRunner().invoke(app, words)
 
 
-def replace_loop(monkeypatch: pytest.MonkeyPatch, simulate: object) -> None:
+def replace_loop(monkeypatch: pytest.MonkeyPatch, simulate: Any) -> None:
+    simulate.__module__ = SYSTEM.simulate.__module__  # as a function of the library
     monkeypatch.setattr(sato.reconfiguration.system, "SYSTEM", replace(SYSTEM, simulate=simulate))
 
 
@@ -171,7 +173,7 @@ def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, word
     ("scenario", "options", "message"),
     [
         (3, {}, "scenario: must be a path, a Mission or a dict, got 3"),
-        ("crossing", {"overrides": "agents=3"}, 'must be a list, got "agents=3"; ["agents=3"]'),
+        ("crossing", {"overrides": "agents=3"}, 'must be a list or a dict, got "agents=3"; ["agents=3"]'),
         (sato.parse(TINY), {"overrides": ["agents=3"]}, "overrides: cannot change a mission"),
         ("crossing", {"seed": "a"}, "seed: must be an integer at least 0 and below 1.8"),
         ("crossing", {"seed": 1.0}, "got 1.0"),

@@ -419,5 +419,5 @@ def test_film_of_one_instant_shows_it():
 
 
 def test_animation_without_frames_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="got 0 frames at 20 fps"):
+    with pytest.raises(ValueError, match="frames: must be an integer above 0, got 0"):
         flown("plane")[0].animate(tmp_path, frames=0)
