@@ -185,7 +185,11 @@ def make_check(hint: Any, numbers: NumberRule = FINITE) -> Check | None:
     """Make the check of an annotation; None where it takes everything."""
     origin, parts = get_origin(hint), get_args(hint)
     if isinstance(hint, str):
-        return _check_class_of_name(hint.rpartition(".")[2]) if hint[-1].isalnum() else None
+        return (
+            _check_class_of_name(hint.rpartition(".")[2])
+            if hint.replace(".", "").isidentifier()
+            else None
+        )
     if origin is Annotated:
         return make_check(parts[0], numbers.with_marks(list(parts[1:])))
     if hint == ArrayLike:

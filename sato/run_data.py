@@ -50,8 +50,9 @@ class RunData:
         object.__setattr__(self, "variables", views)
         sizes: dict[str, int] = {}
         for name, value in self.attrs.items():
-            if not isinstance(value, str | bool | int | float | tuple | np.generic | Array):
-                reason = f"must be text, numbers or an array, got {format_value(value)}"
+            entries = value if isinstance(value, list | tuple) else [value]
+            if not all(isinstance(one, str | int | float | np.generic | Array) for one in entries):
+                reason = f"must be text, a number or an array, got {format_value(value)}"
                 raise InputError(f"attrs.{name}", reason)
         for name, (dims, values, _) in self.variables.items():
             if len(dims) != values.ndim:

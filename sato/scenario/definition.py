@@ -58,7 +58,9 @@ Amount = Annotated[int, Positive]
 Count = Annotated[int, NotNegative]
 Axes = Annotated[int, Ge(2), Le(3)]
 LONGEST_TEXT = 4096  # characters
-UNWRITABLE = re.compile("[\\0-\\x1f\\x7f\ud800-\udfff]")  # controls, and halves of characters
+UNWRITABLE = re.compile(
+    "[\\0-\\x08\\x0b\\x0c\\x0e-\\x1f\\x7f\ud800-\udfff]"
+)  # controls, and halves of characters
 LATER: Any = None  # default of a field that follows from others, or is drawn
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -234,7 +236,7 @@ class Field:
         if is_list and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())
         if isinstance(value, str) and (len(value) > LONGEST_TEXT or UNWRITABLE.search(value)):
-            reason = f"must be a line of text, of at most {LONGEST_TEXT} characters"
+            reason = f"must be text without controls, of at most {LONGEST_TEXT} characters"
             raise InputError("", f"{reason}, got {format_value(value)}")
         try:
             return check_range(self._adapter.validate_python(value))
@@ -335,7 +337,8 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        one = format_value(value)
+        is_huge = isinstance(value, int) and abs(value) > 1e30
+        one = format_value(value) if is_huge else f"{value:g}"
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
 
