@@ -50,7 +50,7 @@ def test_no_report_claims_success_unless_its_verdict_is_kept(rng):
         promises = tuple(promise(bool(rng.random() < 0.7), str(kind)) for kind in kinds)
         skipped, failure = ("fuel",) * int(rng.integers(2)), "oops" * int(rng.random() < 0.2)
         given = {} if rng.random() < 0.3 else {"success": bool(rng.integers(2))}
-        report = Report(promises, given, skipped, failure)
+        report = Report(promises, given, skipped, failure=failure)
         every = all(each.kept for each in promises) and given.get("success", True)
         is_kept = every and not skipped and not failure
         assert report.kept == report.summary["success"] == report.as_dict()["kept"] == is_kept
@@ -227,7 +227,7 @@ def test_a_loaded_run_without_its_mission_claims_no_success(tmp_path):
     bare, checked = sato.load(tmp_path), call("check", str(tmp_path))
     assert bare.verdict == "unchecked" and not bare.summary["success"] and checked.exit_code == 1
     assert bare.summary["fuel_m_s"] == run.summary["fuel_m_s"]  # as claimed
-    assert "need the mission: sato.load(path, mission=…)" in repr(bare).splitlines()[0]
+    assert "skipped, the model `test_python_missions.Damped` is" in repr(bare).splitlines()[0]
     assert checked.stdout.splitlines()[0] == bare.report.line
 
 

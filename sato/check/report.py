@@ -2,19 +2,20 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
-from dynamics.doors import checked
+from dynamics.doors import ANY_NUMBER, checked
 from sato.scenario.errors import join_names
 from sato.summary import format_value
 
 Times = Float[Array, " times"] | None  # of instants [s]; may go on after the values
 Verdict = Literal["kept", "not reached", "broken", "unchecked"]
+AnyFloat = Annotated[float, ANY_NUMBER]
 LISTED = 3  # promises that are named in a line beside the first
 
 
@@ -86,7 +87,7 @@ def expect_below(
 
 @checked
 def expect_apart(
-    distance: float, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
+    distance: AnyFloat, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
     name: str = "separation", unit: str = "m", text: str = "",
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
