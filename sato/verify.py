@@ -102,8 +102,7 @@ def _check_summary(
     both = expected.keys() & summary.keys()
     wrong = [n for n in names if n not in both or _differs(summary[n], expected[n])]
     text = "entries of summary.json that are missing or differ from the data"
-    if wrong:
-        text += f": {', '.join(wrong)}"
+    text += f": {', '.join(wrong)}" * bool(wrong)
     return expect_none("summary", len(wrong), text)
 
 

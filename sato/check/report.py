@@ -15,7 +15,6 @@ from sato.summary import format_value
 
 Times = Float[Array, " times"] | None  # of instants [s]; may go on after the values
 Verdict = Literal["kept", "not reached", "broken", "unchecked"]
-AnyFloat = Annotated[float, ANY_NUMBER]
 LISTED = 3  # promises that are named in a line beside the first
 
 
@@ -87,8 +86,8 @@ def expect_below(
 
 @checked
 def expect_apart(
-    distance: AnyFloat, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
-    name: str = "separation", unit: str = "m", text: str = "",
+    distance: Annotated[float, ANY_NUMBER], allowed: float, agents: tuple[int, ...], time: float,
+    error: float = 0.0, name: str = "separation", unit: str = "m", text: str = "",
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept, known = bool(distance - error >= allowed), f" (known to {error:.1g})" * (error > 0)
