@@ -30,7 +30,7 @@ class InputError(ValueError):
 
 def join_names(names: Iterable[Any], last: str = "or") -> str:
     """Join names in a sentence: "a, b or c"."""
-    *most, end = [str(name) for name in names]
+    *most, end = [str(name) for name in names] or ["none"]
     return f"{', '.join(most)} {last} {end}" if most else end
 
 

@@ -2,14 +2,14 @@
 
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
-from dynamics.doors import checked
+from dynamics.doors import ANY_NUMBER, checked
 from sato.scenario.errors import join_names
 from sato.summary import format_value
 
@@ -86,8 +86,8 @@ def expect_below(
 
 @checked
 def expect_apart(
-    distance: float, allowed: float, agents: tuple[int, ...], time: float, error: float = 0.0,
-    name: str = "separation", unit: str = "m", text: str = "",
+    distance: Annotated[float, ANY_NUMBER], allowed: float, agents: tuple[int, ...], time: float,
+    error: float = 0.0, name: str = "separation", unit: str = "m", text: str = "",
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept, known = bool(distance - error >= allowed), f" (known to {error:.1g})" * (error > 0)

@@ -25,7 +25,7 @@ RESIDUAL = 1e-10  # of gains, from rounding
 NOISE_SIGMAS = 2.5  # of measured coordinates, by which two may come closer than keep_out
 PROMISES = tuple(
     "complete attributes times numbers alive component start frames drift formation gains flight"
-    " speed climb acceleration climb_acceleration legs assignment points separation".split()
+    " speed climb acceleration climb_acceleration legs assignment points separation reached".split()
 )
 NOISE_ALLOWANCE = 0.05  # at most so much closer [m]
 ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
