@@ -25,7 +25,7 @@ class InputError(ValueError):
 
     def inside(self, table: str) -> "InputError":
         """Return the same error of a key inside a table."""
-        return InputError(".".join(filter(None, (table, self.key))), self.reason)
+        return type(self)(".".join(filter(None, (table, self.key))), self.reason)
 
 
 def join_names(names: Iterable[Any], last: str = "or") -> str:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.callbacks import CallbackError
 from sato.check import common
 from sato.check.report import Promise, Report, expect_none
 from sato.record import RunFileError, RunRecord, initial_summary
@@ -66,6 +67,8 @@ def _check(data: RunData, mission: Any) -> Report:
     rng = np.random.default_rng(int(data.attrs["seed"]))
     try:
         drawn = mission.draw(rng)
+    except CallbackError:
+        raise
     except InputError as error:
         raise RunFileError(f"the scenario in the file cannot be flown: {error}") from error
     return load_system(data.attrs["system"]).check(data, drawn, rng)

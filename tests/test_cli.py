@@ -173,7 +173,7 @@ def test_a_file_that_is_no_scenario_is_refused_by_name(home, name, content, word
     ("scenario", "options", "message"),
     [
         (3, {}, "scenario: must be a path, a Mission or a dict, got 3"),
-        ("crossing", {"overrides": "agents=3"}, 'must be a list or a dict, got "agents=3"; ["agents=3"]'),
+        ("crossing", {"overrides": "agents=3"}, 'or a dict, got "agents=3"; ["agents=3"] would do'),
         (sato.parse(TINY), {"overrides": ["agents=3"]}, "overrides: cannot change a mission"),
         ("crossing", {"seed": "a"}, "seed: must be an integer at least 0 and below 1.8"),
         ("crossing", {"seed": 1.0}, "got 1.0"),

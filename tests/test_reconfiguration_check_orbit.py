@@ -25,7 +25,7 @@ from sato.reconfiguration.estimator import GATE_SIGMAS
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
-from sato.runs import Run
+from sato.runs import Run, run
 from sato.shapes import Points
 
 ORBIT = Orbit.from_elements(6878e3, inclination=np.pi / 4)
@@ -247,10 +247,10 @@ def test_fuel_may_fall_below_the_bound_by_the_model_correction():
     assert report.summary["fuel_m_s"] == 0 < 0.1 < report.summary["fuel_lower_bound_m_s"]
 
 
-def with_fuel_bound(record: ReconfigurationRecord, total: float) -> ReconfigurationRecord:
+def with_fuel_bound(record: ReconfigurationRecord, **changes: object) -> ReconfigurationRecord:
     """Return the record as if the lower bound on the fuel of its leg were another."""
     other = replace(record)
-    vars(other)["fuel_bounds"] = [record.fuel_bounds[0]._replace(total=total)]
+    vars(other)["fuel_bounds"] = [record.fuel_bounds[0]._replace(**changes)]
     return other
 
 
@@ -261,7 +261,21 @@ def test_fuel_may_not_fall_below_the_bound_by_more():
     own = bound.per_agent.sum()
     assert bound.correction_fuel.sum() == pytest.approx(own, rel=1e-9)  # all of it was given
     assert check_fuel(record).kept
-    assert not check_fuel(with_fuel_bound(record, own * (1 + 1e-5))).kept
+    less = bound.correction_fuel * (1 - 1e-5)
+    assert not check_fuel(with_fuel_bound(record, correction_fuel=less)).kept
+
+
+def test_fuel_may_fall_below_the_bound_where_limits_bind():
+    # About the chief, the plant saves 5e-6 of a bound that its binding limit makes larger.
+    orbit, angle = Orbit.from_elements(7000e3, inclination=np.radians(51.6)), -2.0 / 7000
+    target = 7000e3 * np.array([[np.cos(angle) - 1, np.sin(angle), 0.0, 0.0, 0.0, 0.0]])
+    about = Reconfiguration(
+        model=J2(orbit), start=np.zeros((1, 6)), legs=[Leg(target, steps=24)], step=60.0,
+        comm_radius=1e6, collision_radius=50.0, max_control=5e-3, max_speed=50.0, tie_break=0.0,
+    )  # fmt: skip
+    flown = run(about)
+    assert flown.summary["fuel_m_s"] < flown.summary["fuel_lower_bound_m_s"]
+    assert flown.verdict == "kept"
 
 
 def test_fuel_bound_is_strict_where_the_plant_is_the_model():
@@ -270,7 +284,7 @@ def test_fuel_bound_is_strict_where_the_plant_is_the_model():
     [bound] = record.fuel_bounds
     assert bound.correction_fuel.max() < 1e-10
     assert bound.total <= burnt
-    assert not check_fuel(with_fuel_bound(record, burnt * (1 + 1e-5))).kept
+    assert not check_fuel(with_fuel_bound(record, total=burnt * (1 + 1e-5))).kept
 
 
 def test_summary_has_model_error_and_fuel_per_agent(flown):

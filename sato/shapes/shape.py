@@ -189,7 +189,7 @@ class Points(Shape):
         return self._states[0]
 
     @property
-    def _states(self) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | None]:
+    def _states(self) -> tuple[Float[Array, "k d"], Float[Array, "rows axes"] | None]:
         if self.file is None:
             return np.asarray(self.positions), self.velocities
         points, velocities = read_states(Path(self.file))
@@ -209,14 +209,15 @@ class Points(Shape):
         """Return the velocity at each position [m/s], where they are given.
 
         Raises:
-            InputError: There are not as many rows as points.
+            InputError: There are not as many rows as points, or of another length.
         """
         listed, moving = self._states
         if moving is None:
             return None
         if self.file and self.velocities is not None:
-            if len(moving) < count or not self.keep_order:
-                raise InputError("velocities_m_s", f"needs {count} rows in the order of the file")
+            if len(moving) < count or not self.keep_order or moving.shape[1] != listed.shape[1]:
+                needed = f"needs {count} rows of {listed.shape[1]} in the order of the file"
+                raise InputError("velocities_m_s", needed)
         rows = moving[self._order(listed, count)]
         return np.pad(rows, ((0, 0), (0, axes - rows.shape[1])))
 
