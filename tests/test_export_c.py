@@ -166,9 +166,9 @@ def test_invalid_input_is_refused_before_solving(made):
     for start, end, spaces in (
         (np.array([np.nan, 0, 0, 0]), target, empty),
         (REST, np.array([0, inf, 0, 0]), empty),
-        (REST, target, wall(1, np.nan)),
+        (REST, target, wall(1, 0.0)._replace(rhs=np.array([np.nan]))),
         (REST, target, wall(problem.program.horizon_steps, -9.0)),
-        (REST, target, wall(-1, -9.0)),
+        (REST, target, wall(1, -9.0)._replace(step_index=np.array([-1]))),
         (REST, target, overfull),
     ):
         flown = code.solve(start, end, spaces)

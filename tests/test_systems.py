@@ -3,16 +3,18 @@
 import subprocess
 import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from recorded_run import altered, with_data
+from recorded_run import altered
 from test_cli import call, sentence
 
 import sato
 from dynamics.units import Length
+from sato import record
 from sato.check import common
 from sato.check.report import Report, expect_below
 from sato.interfaces import (
@@ -28,6 +30,7 @@ from sato.interfaces import (
 )
 from sato.network.graph import CommunicationGraph
 from sato.record import RunRecord, recorded_fields
+from sato.run_data import RunData
 from sato.scenario.definition import Convert, In, Positive, as_array
 from sato.scenario.errors import InputError
 from sato.scenario.file import Mission
@@ -181,11 +184,11 @@ def test_file_of_the_former_format_names_the_version_that_reads_it(home):
     run = sato.run("drift.toml")
     attrs = {**run.recorded.attrs, "version": "0.1.0"}
     del attrs["format"]
-    replace(run, recorded=replace(run.recorded, attrs=attrs)).save("old")
+    record.save(replace(run.recorded, attrs=attrs), run.summary, Path("old"))
     with pytest.raises(sato.RunFileError, match=r"written by sato 0.1.0, which reads it"):
         sato.load("old")
     attrs["format"] = 99
-    replace(run, recorded=replace(run.recorded, attrs=attrs)).save("new")
+    record.save(replace(run.recorded, attrs=attrs), run.summary, Path("new"))
     with pytest.raises(sato.RunFileError, match="too old for it"):
         sato.load("new")
 
@@ -302,7 +305,8 @@ def test_definition_is_shown_with_its_keys_and_defaults(home):
 def test_runs_of_unknown_systems_or_without_variables_are_refused(home, monkeypatch):
     sato.run("drift.toml").save("here")
     lacking = sato.run("drift.toml")
-    with_data(lacking, lacking.data.drop_vars("heading")).save("there")
+    data = RunData.from_xarray(lacking.data.drop_vars("heading"))
+    record.save(data, lacking.summary, Path("there"))
     with pytest.raises(sato.RunFileError, match=r"there/run.nc: is not a run .* no heading"):
         sato.load("there")
     monkeypatch.delitem(SYSTEMS, "drift")
