@@ -221,7 +221,7 @@ def test_port_in_use_is_refused():
         port = other.getsockname()[1]
         with pytest.raises(sato.InputError, match=f"--port {port} cannot be used"):
             sato.run("crossing", processes="lock-step", port=port)
-    with pytest.raises(sato.InputError, match="--port must be from 1 to 65535"):
+    with pytest.raises(sato.InputError, match="port: must be an integer above 0 and below 65536"):
         sato.run("crossing", processes="lock-step", port=70_000)
 
 
