@@ -1,5 +1,6 @@
 """Simulator of agents by messages alone, for comparison with the batched loop."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -119,7 +120,8 @@ class NetworkFlight:
         self.rounds = mission.decision_rounds
         stops = find_first_commitments(mission)
         live = np.flatnonzero(self.alive).tolist()
-        self.agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
+        with warnings.catch_warnings(action="ignore"):  # doubts about the link, as a run has
+            self.agents = {i: Agent(mission, i, commitment=stops.get(i)) for i in live}
         self.watch = Watch(mission)
 
     def fly(self):

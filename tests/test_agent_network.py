@@ -134,7 +134,8 @@ def test_agents_evade_over_a_network_as_the_loop_does(rng, monkeypatch):
 def test_losses_change_nothing_where_rounds_take_no_time(rng):
     lossy = Link(loss_probability=0.3, late=2)
     mission = make_mission(spread(rng, 4), sato.Leg(spread(rng, 5), 12), link=lossy)
-    agents, x = {i: sato.Agent(mission, i) for i in range(4)}, mission.initial_states
+    with pytest.warns(UserWarning, match="lost or late change nothing"):
+        agents, x = {i: sato.Agent(mission, i) for i in range(4)}, mission.initial_states
     now, never = np.zeros(4, dtype=int), np.full(4, NEVER)
 
     def act(own, inbox):
