@@ -142,6 +142,7 @@ def _reconfiguration() -> Iterator[Call]:
     agents = np.array([0, 2])
     for method in (
         mission.control_limit,
+        mission.radius,
         mission.speed_limit,
         mission.planned_control_limit,
         mission.stop_speed_limit,
@@ -221,7 +222,7 @@ def _runs() -> Iterator[Call]:
     yield sato.run, {**flight, "progress": False, "speed": 1.0}
     yield sato.simulate, flight
     yield sato.load, {"path": "run", "mission": mission}
-    yield sato.Run, {"recorded": run.recorded, "summary": run.summary, "mission": mission}
+    yield sato.Run, {"recorded": run.recorded, "claimed": run.claimed, "mission": mission}
     yield run.events, {}
     yield run.save, {"directory": "saved"}
     yield run.export, {"path": "table.csv", "format": "csv"}

@@ -85,9 +85,11 @@ def test_rows_of_the_density_table_join_within_3_percent():
         assert density * np.exp(-(above - h) / scale) == pytest.approx(next_density, rel=0.03)
 
 
-@pytest.mark.parametrize("wrong", [-0.01, np.nan])
-def test_negative_ballistic_coefficients_are_refused(wrong):
-    with pytest.raises(ValueError, match="finite and not negative"):
+@pytest.mark.parametrize(
+    ("wrong", "said"), [(-0.01, "finite and not negative"), (np.nan, r"with nan at \[1\]")]
+)
+def test_negative_ballistic_coefficients_are_refused(wrong, said):
+    with pytest.raises(ValueError, match=said):
         Forces(atmosphere=Atmosphere()).validate_ballistic_coefficients(np.array([0.01, wrong]))
 
 
@@ -97,5 +99,5 @@ def test_altitudes_below_the_density_table_are_refused():
 
 
 def test_a_negative_density_is_refused():
-    with pytest.raises(ValueError, match=r"got -1.0 kg/m³ and 60000.0 m"):
+    with pytest.raises(ValueError, match=r"got -1.0 kg/m³, 60000.0 m and 500000.0 m"):
         Atmosphere(-1.0, 5e5, 6e4)

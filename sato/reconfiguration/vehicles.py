@@ -70,9 +70,9 @@ class Vehicles(Motion):
         """Collision radius R of each vehicle; two keep (R_i + R_j)/2 [m]."""
         return np.array(np.broadcast_to(self.collision_radius, self.vehicle_count), dtype=float)
 
-    def radius(self, agent: int) -> float:
+    def radius(self, agent: Count) -> float:
         """Return an agent's collision radius; of equal ones any number has it [m]."""
-        return float(self.radii[agent % len(self.radii) if self.has_equal_radii else agent])
+        return float(self.radii[agent % len(self.radii)])
 
     @property
     def has_equal_radii(self) -> bool:
