@@ -80,7 +80,8 @@ def parse_unit(text: str, unit: str) -> float:
     Raises:
         InputError: It is not known, or not of the quantity of the unit that is taken.
     """
-    spelled = re.sub(r"\^|\*\*|-1|⁻¹", "", text.strip()).replace("²", "2")
+    spelled = re.sub(r"\^|\*\*", "", text.strip()).replace("²", "2")
+    spelled = re.sub(r"(?<=[\s·.*_][sh])(-1|⁻¹)$", "", spelled)
     suffix = re.sub(r"[\s/·.*]+", "_", spelled)
     suffix = WORDS.get(suffix.removesuffix("s"), suffix)
     quantity = SUFFIXES[unit].quantity if unit else ""
@@ -229,7 +230,7 @@ def _stack(names: list[Any], columns: list[Any], units: Units) -> Array:
         try:
             numbers, has_unit = _strip(columns[place], units.get(name, ""))
             array = as_array(numbers, np.ndim(numbers))
-            if factor is not None and "units" in getattr(columns[place], "attrs", {}):
+            if factor is not None and _find_declared(columns[place]) is not None:
                 raise InputError("", "has a unit in its name and in its attrs; drop one")
         except InputError as error:
             raise InputError("", f'column "{names[place]}" {error}') from error
@@ -249,9 +250,16 @@ def _strip(value: Any, unit: str) -> tuple[Any, bool]:
     elif hasattr(value, "to_numpy"):
         plain = value.to_numpy()
     elif hasattr(value, "quantity"):  # a column of astropy
+        if np.ma.is_masked(value):
+            raise InputError("", "has masked rows; drop or fill them")
         plain = np.asarray(value) if value.unit is None else value.quantity
     numbers = to_si(plain, unit)
-    declared = getattr(value, "attrs", {}).get("units")
+    declared = _find_declared(value)
     if declared is None or numbers is not plain:
         return numbers, numbers is not plain
     return np.asarray(numbers) * parse_unit(str(declared), unit), True
+
+
+def _find_declared(value: Any) -> Any:
+    attrs = getattr(value, "attrs", {})
+    return attrs.get("units", attrs.get("unit"))

@@ -38,7 +38,7 @@ def to_si(value: Any, unit: str) -> Any:
         kept = [part for part, given in zip(parts, value, strict=True) if part is given]
         if kept and len(kept) < len(parts) and np.any(kept):
             raise InputError("", "has numbers with a unit and numbers without; give all a unit")
-        return value if kept else parts
+        return parts if len(kept) < len(parts) else value
     if isinstance(value, Array) and value.dtype == object and value.ndim:
         listed = value.tolist()
         parts = to_si(listed, unit)

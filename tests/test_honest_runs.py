@@ -29,6 +29,11 @@ def test_honest_run_of_a_built_in_scenario_is_not_accused(name):
     assert run.verdict == "kept" or (name == "formation6" and run.verdict == "not reached"), run
 
 
+def test_drift_of_control_steps_between_instants_is_not_accused():
+    run = sato.run("formation6", seed=2, overrides=["control.step_s=0.01", "limit_s=8"])
+    assert run.verdict == "not reached", run
+
+
 def pair(*legs):
     """Two agents a meter apart, as a definition."""
     return sato.Reconfiguration(

@@ -14,6 +14,7 @@ import pandas as pd
 import pint
 import pytest
 import xarray as xr
+from astropy.table import Table
 from PIL import Image
 
 import sato
@@ -65,6 +66,9 @@ def listed(folder, text, **given):
         ("vy_cm_s,x,y,vx_km_h\n100,0,0,36\n0,1,1,0\n", [[0, 0, 10, 1], [1, 1, 0, 0]]),
         ("1,2,\n3,4,\n,,\n", [[1, 2], [3, 4]]),
         ("# 0,0\n# Team A, Berlin\n1,2\n3,4\n", [[1, 2], [3, 4]]),
+        ("# y | x\n1 2\n3 4\n", [[2, 1], [4, 3]]),
+        ("# flown 2 km away\ny_cm,x_m\n100,2\n", [[2, 1]]),
+        ("0,1\n2,1\n", [[0, 1], [2, 1]]),
     ],
 )
 def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
@@ -95,6 +99,10 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("0,1,2,3\n", "2 or 3 columns are needed, or a header such as x,y,z,vx,vy,vz, got 4"),
         ("places\nx,y\n0,1\n", 'column "places" is not known'),
         ("x,y\n1_0,2\n", "line 2: not numbers"),
+        ("0,1\n1.5,2.5\n", "0,1 may be names or a point; name the columns, x,y, or write 0.0,1.0"),
+        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km'),
+        ("# in mm\nx,y\n1,2\n", 'a comment has the unit "mm"'),
+        ("x [m^-1],y\n1,2\n", "has the unit"),
     ],
 )
 def test_columns_that_cannot_be_obeyed_are_refused(tmp_path, text, message):
@@ -140,6 +148,9 @@ def test_quantities_become_numbers_in_si_units():
     assert sato.Connectivity(agents=3, duration=timedelta(minutes=2)).duration == 120.0
     assert sato.Connectivity(agents=3, duration=np.timedelta64(5 * 10**9, "ns")).duration == 5.0
     assert sato.Sphere([1 * u.km, 0 * u.m], 1.0).center == (1000.0, 0.0)
+    for unit in (u.km, REGISTRY.km):  # 0 is the same in all units
+        assert sato.Sphere([0, 1 * unit], 1.0).center == (0.0, 1000.0)
+        assert as_points([(0, 1 * unit), (1 * unit, 0)]).positions.tolist() == [[0, 1e3], [1e3, 0]]
 
 
 @pytest.mark.parametrize(
@@ -201,6 +212,7 @@ def test_labels_beside_another_unit_of_a_key_are_refused():
         xr.DataArray(SQUARE[:, ::-1], dims=("agent", "axis"), coords={"axis": ["y", "x"]}),
         xr.DataArray(SQUARE[::-1], dims=("agent", "axis"), coords={"agent": [3, 2, 1, 0]}),
         xr.DataArray(SQUARE / 1000, dims=("agent", "axis"), attrs={"units": "km"}),
+        xr.DataArray(SQUARE / 1000, dims=("agent", "axis"), attrs={"unit": "km"}),
         xr.Dataset({"y": ("agent", SQUARE[:, 1]), "x": ("agent", SQUARE[:, 0])}),
         {"y": SQUARE[:, 1], "x": SQUARE[:, 0] / 1000 * u.km},
         [Swapped(y, x) for x, y in SQUARE],
@@ -223,6 +235,7 @@ def test_tables_are_read_by_their_names(table):
         (xr.DataArray(SQUARE, dims=("agent", "axis"), attrs={"units": "m/s"}), "has the unit"),
         ([{"x": 1.0, "y": 2.0}, {"x": 1.0}], "rows of the same names"),
         ({"x": [1.0], "y": [1.0, 2.0]}, "columns of different lengths"),
+        (Table({"x": np.ma.array([1.0, 2.0], mask=[0, 1]), "y": [1.0, 2.0]}), "masked rows"),
         (
             xr.DataArray(SQUARE, [("a", range(4)), ("axis", ["x_km", "y"])], attrs={"units": "m"}),
             "unit in its name and in its attrs",

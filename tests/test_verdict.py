@@ -228,6 +228,9 @@ def test_a_loaded_run_without_its_mission_claims_no_success(tmp_path):
     assert bare.verdict == "unchecked" and not bare.summary["success"] and checked.exit_code == 1
     assert bare.summary["fuel_m_s"] == run.summary["fuel_m_s"]  # as claimed
     assert "skipped, the model `test_python_missions.Damped` is" in repr(bare).splitlines()[0]
+    assert "sato.load(path, mission=...)" in repr(bare).splitlines()[0]
+    bare.save(tmp_path)
+    assert sato.load(tmp_path, mission=mission).verdict == "kept"
     assert checked.stdout.splitlines()[0] == bare.report.line
 
 

@@ -23,7 +23,8 @@ BEGIN = re.compile(r"[+-]?\.?\d|nan$|[+-]?inf$", re.IGNORECASE)  # of a number, 
 WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
 NAME = re.compile(r"[^\W\d]\w*(\s*[\[(/].*)?")  # one word, perhaps with a unit
-WORDS = re.compile(r"[\s,;]+")
+WORDS = re.compile(r"[\s,;|]+")
+OTHER_LENGTH = re.compile(r"\b(k|c|m)m\b|\b(feet|ft)\b")  # than the meter, in a comment
 
 Row = tuple[int, list[str]]  # number of the line, and its cells
 
@@ -107,6 +108,11 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
         (_, names), *rows = rows
         if not rows:
             raise ValueError(f"{path} lists no {content}")
+    numbered = list(map(str, range(width)))
+    decimals = [cell for _, cells in rows[1:] for cell in cells]
+    if names is None and rows[0][1] == numbered and decimals and all("." in c for c in decimals):
+        cure = f"name the columns, {','.join([*units][:width])}, or write {'.0,'.join(numbered)}.0"
+        raise ValueError(f"{path}: {','.join(numbered)} may be names or a point; {cure}")
     notes = [line.lstrip("# \t") for n, line in given if n < rows[0][0] and _is_comment(line)]
     for note in notes:
         for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
@@ -119,6 +125,10 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
             is_named = all(map((NAME if is_list else OTHER_AXES).fullmatch, cells))
             if names is None and (is_known or is_named):
                 names = cells
+        found = OTHER_LENGTH.search(note)
+        if units and found and not any(re.search(r"[_\[(/]", name) for name in names or ()):
+            cure = f"numbers without a unit are meters; name columns as in x_{found[0]}"
+            raise ValueError(f'{path}: a comment has the unit "{found[0]}", and {cure}')
     return names, _with_points(path, rows)
 
 

@@ -214,5 +214,6 @@ def _planar(record: FormationRecord, vectors: Array) -> Array:
 def _position_uncertainty(record: FormationRecord) -> float:
     # Distance by which control steps between two instants can depart from the last velocity [m].
     mission, steps = record.mission, record.mission.steps_per_frame
-    most = max(mission.max_acceleration, mission.max_climb_acceleration)
-    return mission.step**2 * most * steps * (steps - 1) / 2
+    in_plane = mission.max_acceleration * (2**0.5 if mission.avoidance.legacy else 1.0)
+    most = np.hypot(in_plane, mission.max_climb_acceleration)
+    return float(mission.step**2 * most * steps * (steps - 1) / 2)
