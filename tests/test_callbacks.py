@@ -155,7 +155,7 @@ def test_a_plant_whose_method_is_an_attribute_is_checked():
 
 def test_methods_of_every_kind_that_python_calls_are_methods():
     def friction(rate, t):
-        return Drag().A(t) * rate / 0.1
+        return Drag().A(t) * (rate / 0.1)
 
     class Bound(Drag):
         def scaled(self, rate, t):
@@ -171,7 +171,11 @@ def test_methods_of_every_kind_that_python_calls_are_methods():
 
 def test_a_model_repeats_itself():
     times = count(1)
-    model = type("Own", (Drag,), {"A": lambda self, t: Drag().A(t) - np.eye(4)[3] * next(times)})()
+    model = type(
+        "Own",
+        (Drag,),
+        {"A": lambda self, t: Drag().A(t) - 0.01 * np.diag([0, 0, 0, 1]) * next(times)},
+    )()
     with pytest.raises(InputError, match="Own returns other matrices for the same times"):
         mission(model=model)
 
