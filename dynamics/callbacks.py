@@ -10,7 +10,7 @@ import sysconfig
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import partial, wraps
+from functools import partial, partialmethod, wraps
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple
@@ -114,6 +114,7 @@ def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> A
     would_do = f"an array of shape {shape} would do"
     if value is None:
         raise InputError("", f"must not be None: a return is missing; {would_do}")
+    value = value.full() if type(value).__name__ == "DM" else value  # numbers of CasADi
     try:
         lacking = max(len(shape) - np.ndim(value), 0) if can_stretch else 0
         array = as_array(value, len(shape) - lacking) if 0 not in shape else np.zeros(shape)
@@ -139,31 +140,62 @@ def guard(cls: type, callbacks: dict[str, Callback]) -> None:
         owner = next((each for each in cls.__mro__ if name in vars(each)), type)
         method = vars(owner).get(name)
         if is_own(owner) and owner is not type and not getattr(method, "is_guarded", False):
-            as_kind(method, Callable, f"a method {name} of {cls.__name__}")
+            kinds = Callable, classmethod, partialmethod
+            as_kind(method, kinds, f"a method {name} of {cls.__name__}")
             setattr(cls, name, _guard_method(name, method, callback))
 
 
-def _guard_method(name: str, method: Any, callback: Callback) -> Any:
-    parameters = callback.parameters.split()
+def guard_attributes(part: Any, callbacks: dict[str, Callback]) -> None:
+    """Guard what replaced methods of an object later: in its class, or as attributes of its own."""
+    guard(type(part), callbacks)
+    own = getattr(part, "__dict__", {})
+    for name in callbacks.keys() & own.keys():
+        if not getattr(own[name], "is_guarded", False):
+            own[name] = _guard_attribute(part, name, own[name], callbacks[name])
 
-    @wraps(method)
-    def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
-        bound = method.__get__(self, type(self))
-        given = dict(zip(parameters, arguments, strict=False)) | options
-        is_super = getattr(type(self), name) is not guarded  # checked by the method that calls it
-        if is_super or any(map(_has_symbols, given.values())):
-            return bound(*arguments, **options)
-        time = given.get("t")
-        when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
-        full, passes = f"{type(self).__name__}.{name}{when}", (callback.passes,)
 
-        def check(result: Any) -> Any:
-            return callback.check(self, given, result)
+def _guard_attribute(part: Any, name: str, function: Any, callback: Callback) -> Any:
+    as_kind(function, Callable, f"a function {name} of {type(part).__name__}")
 
-        return call(full, bound, *arguments, passes=passes, check=check, **options)
+    def guarded(*arguments: Any, **options: Any) -> Any:
+        return _call_guarded(part, name, function, callback, arguments, options)
 
     guarded.is_guarded = True  # type: ignore[attr-defined]
     return guarded
+
+
+def _guard_method(name: str, method: Any, callback: Callback) -> Any:
+    @wraps(method)
+    def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
+        # Objects with `__call__` and partial functions are not bound.
+        bound = method.__get__(self, type(self)) if hasattr(method, "__get__") else method
+        if getattr(type(self), name) is not guarded:  # of `super()`, checked by what calls it
+            return bound(*arguments, **options)
+        return _call_guarded(self, name, bound, callback, arguments, options)
+
+    guarded.is_guarded = True  # type: ignore[attr-defined]
+    return guarded
+
+
+def _call_guarded(
+    part: Any,
+    name: str,
+    bound: Any,
+    callback: Callback,
+    arguments: tuple[Any, ...],
+    options: dict[str, Any],
+) -> Any:
+    given = dict(zip(callback.parameters.split(), arguments, strict=False)) | options
+    if any(map(_has_symbols, given.values())):
+        return bound(*arguments, **options)
+    time = given.get("t")
+    when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
+    full, passes = f"{type(part).__name__}.{name}{when}", (callback.passes,)
+
+    def check(result: Any) -> Any:
+        return callback.check(part, given, result)
+
+    return call(full, bound, *arguments, passes=passes, check=check, **options)
 
 
 def _find_place(error: BaseException, function: Any) -> str:

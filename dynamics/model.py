@@ -45,7 +45,7 @@ class Model(ABC):
         if "rate" in cls.__dict__:
             # A decorator for all subclasses, which none can forget.
             cls.rate = _take_symbols(cls.rate)  # type: ignore[method-assign]
-        guard(cls, _CALLBACKS)
+        guard(cls, MODEL_CALLBACKS)
 
     @abstractmethod
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
@@ -110,7 +110,7 @@ def _as_jacobian(model: Model, given: dict[str, Any], value: Any, *more: Any) ->
     return _as_stacks(given, value, (n, n), (n, m), *more)
 
 
-_CALLBACKS = {
+MODEL_CALLBACKS = {
     "A": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "n")),
     "B": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "m")),
     "z": Callback("t", lambda model, given, value: _as_matrix(model, value, "n")),

@@ -35,7 +35,7 @@ class Plant(ABC):
 
     def __init_subclass__(cls) -> None:
         """Check methods of the user's own."""
-        guard(cls, _CALLBACKS)
+        guard(cls, PLANT_CALLBACKS)
 
     @abstractmethod
     def propagate(self, x: States, u: Controls, t: float, dt: float, substeps: int = 1) -> Samples:
@@ -77,7 +77,7 @@ def _as_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
     return states
 
 
-_CALLBACKS = {
+PLANT_CALLBACKS = {
     "propagate": Callback("x u t dt substeps", _as_states),
     "chief_elements": Callback("t", lambda p, given, v: None if v is None else as_shape(v, (6,))),
 }

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial, partialmethod
 from itertools import count
 from pathlib import Path
 
@@ -128,6 +129,55 @@ def test_a_wrong_model_is_refused_by_the_name_of_its_method(model, reason):
         with pytest.raises(InputError, match=reason) as refused:
             sato.run(mission(model=model))
     assert str(refused.value).count("\n") == 0
+
+
+@pytest.mark.parametrize("kind", ["class", "attribute", "later"])
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [(np.eye(4, 1, -2), r"\(4, 2\), got \(4, 1\)"), (np.full((4, 2), np.nan), "finite")],
+)
+def test_methods_are_checked_however_they_come_into_an_object(kind, value, reason):
+    model = lacking("B", value) if kind == "class" else type("Own", (Drag,), {})()
+    if kind == "attribute":
+        model.B = lambda t: value
+    elif kind == "later":
+        type(model).B = lambda self, t: value
+    with pytest.raises(InputError, match=rf"Own\.B\(t=0\).*{reason}"):
+        mission(model=model)
+
+
+def test_a_plant_whose_method_is_an_attribute_is_checked():
+    plant = Wind()
+    plant.propagate = lambda x, *rest: Wind().propagate(x, *rest)[1:]
+    with pytest.raises(InputError, match=r"Wind\.propagate\(t=0\).*got \(2, 2, 4\)"):
+        sato.run(mission(plant=plant))
+
+
+def test_methods_of_every_kind_that_python_calls_are_methods():
+    def friction(rate, t):
+        return Drag().A(t) * (rate / 0.1)
+
+    class Bound(Drag):
+        def scaled(self, rate, t):
+            return friction(rate, t)
+
+        A = partialmethod(scaled, 0.1)
+
+    kinds = [partial(friction, 0.1), classmethod(lambda cls, t: friction(0.1, t))]
+    models = [Bound(), *(lacking("A", None, A=kind) for kind in kinds)]
+    for model in models:
+        assert mission(model=model) and np.array_equal(model.A(0.0), Drag().A(0.0))
+
+
+def test_a_model_repeats_itself():
+    times = count(1)
+    model = type(
+        "Own",
+        (Drag,),
+        {"A": lambda self, t: Drag().A(t) - 0.01 * np.diag([0, 0, 0, 1]) * next(times)},
+    )()
+    with pytest.raises(InputError, match="Own returns other matrices for the same times"):
+        mission(model=model)
 
 
 def test_a_model_that_changes_with_time_does_not_say_otherwise():

@@ -217,8 +217,8 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         none = '"double_integrator" has no orbit, and this mission has a [chief]'
         raise InputError("model.kind", f"{none}; {others} would do")
     for name, part in (("model", model), ("plant", plant)):
-        about = getattr(part, "chief_orbit", None) or getattr(part, "orbit", part)
-        mu = getattr(about, "mu", None)
+        about = getattr(part, "chief_orbit", None)
+        mu = getattr(getattr(part, "orbit", part) if about is None else about, "mu", None)
         if chief is not None and mu not in (None, chief.orbit.mu):
             reason = f"has mu = {mu:.6g} m³/s², and the chief {chief.orbit.mu:.6g}"
             raise InputError(name, f"{reason}; one orbit for both would do")

@@ -5,11 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.callbacks import CallbackError, is_own
+from dynamics.callbacks import CallbackError, guard_attributes, is_own
 from dynamics.discretize import DiscreteModel
-from dynamics.model import LinearizedModel, LinearModel, Model, NonlinearModel, SymbolicModel
+from dynamics.model import (
+    MODEL_CALLBACKS,
+    LinearizedModel,
+    LinearModel,
+    Model,
+    NonlinearModel,
+    SymbolicModel,
+)
 from dynamics.orbit import Orbit
-from dynamics.plant import LinearPlant, NonlinearPlant, Plant
+from dynamics.plant import PLANT_CALLBACKS, LinearPlant, NonlinearPlant, Plant
 from sato.scenario.errors import InputError, round_down
 
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
@@ -47,6 +54,8 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
         InputError: They cannot be; the message has the name of the method.
     """
     inner = plant.model if isinstance(plant, LinearPlant | NonlinearPlant) else None
+    if isinstance(plant, Plant):
+        guard_attributes(plant, PLANT_CALLBACKS)
     for key, own in (("model", model), ("plant", inner)):
         if is_own_model(own):
             try:
@@ -61,6 +70,7 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
 
 def _check_model(model: Any, step: float, times: Any) -> None:
     check_axes(model)
+    guard_attributes(model.model if isinstance(model, LinearizedModel) else model, MODEL_CALLBACKS)
     linear = LinearizedModel(model) if isinstance(model, NonlinearModel) else model
     assert isinstance(linear, LinearModel)
     d, name = model.axes, type(model).__name__
@@ -70,6 +80,9 @@ def _check_model(model: Any, step: float, times: Any) -> None:
         reason = "the rate of the position must be the velocity, without control; a model with"
         cure = "position alone is none; v̇ = (u − v)/τ, with τ of a step or more, would do"
         raise InputError("", f"{name}: {reason} {cure}")
+    if not all(map(np.array_equal, (A, B, z), linear.matrices(times))):
+        reason = "returns other matrices for the same times; a model without state and chance"
+        raise CallbackError("", f"{name} {reason} would do")
     for part, first, all_ in zip("ABz", here, (A, B, z), strict=True):
         if linear.is_time_invariant and not np.allclose(all_, first, ROUNDING, ROUNDING):
             reason = f"{part} changes with time; is_time_invariant = False would do"
@@ -102,7 +115,7 @@ def try_plant(plant: Any, x: Any, step: float) -> None:
     Raises:
         CallbackError: It fails, or does not.
     """
-    if not is_own(type(plant)):
+    if not (isinstance(plant, Plant) and is_own(type(plant))):
         return
     u = np.zeros((len(x), x.shape[1] // 2))
     plant.propagate(x, u, 0.0, step, 2)
