@@ -245,6 +245,8 @@ def _check_number(kind: type, numbers: NumberRule) -> Check:
     is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
+        if isinstance(value, list | tuple | Mapping):  # whose labels name no number
+            return None
         number = _read_number(to_plain(value, numbers.unit))
         if number is None or (kind is int and not isinstance(number, int)):
             return None
@@ -304,6 +306,8 @@ def _check_literal(values: tuple[Any, ...]) -> Check:
 
     def convert(value: Any) -> Any:
         value = value.item() if isinstance(value, np.generic) else value
+        if isinstance(value, float):  # a norm, as NumPy's take it
+            value = "inf" if value == np.inf else int(value) if value.is_integer() else value
         return value if isinstance(value, str | int) and (type(value), value) in options else None
 
     return _simple(join_names(map(format_value, values)), convert)

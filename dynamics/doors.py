@@ -41,7 +41,8 @@ def checked(target: Target) -> Target:
     if not isinstance(target, type):
         return cast(Target, _wrap(target))
     owner: Any = target
-    if hasattr(owner, "_fields") or "__dataclass_fields__" in vars(owner):
+    params = vars(owner).get("__dataclass_params__")
+    if hasattr(owner, "_fields") or (params and params.repr):  # generated, with walls of arrays
         owner.__repr__ = short_repr
     if hasattr(owner, "_fields"):  # a named tuple
         owner.__new__ = staticmethod(_wrap(owner.__new__, is_constructor=True))
