@@ -6,6 +6,7 @@ import operator
 import os
 import re
 import types
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
@@ -337,7 +338,7 @@ def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | 
 
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        is_list = isinstance(value, list | tuple | range | Array)
+        is_list = isinstance(value, list | tuple | range | deque | Array)
         if not is_list or (type(value) is Array and not value.ndim):
             cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
             raise InputError("", f"must be a list, got {describe(value)}{cure}")

@@ -1,5 +1,6 @@
 """Public functions and classes check their arguments by the annotations."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, nan
@@ -157,6 +158,10 @@ class Told:
 
     def __repr__(self) -> str:
         return "told"
+
+
+def test_a_queue_is_taken_for_a_list():
+    assert move(X, 1.0, times=deque([1, 2]))[11] == (1.0, 2.0)
 
 
 def test_a_text_of_its_own_is_kept():
