@@ -6,6 +6,7 @@ import operator
 import os
 import re
 import types
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
@@ -245,6 +246,8 @@ def _check_number(kind: type, numbers: NumberRule) -> Check:
     is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
+        if isinstance(value, list | tuple | Mapping):  # whose labels name no number
+            return None
         number = _read_number(to_plain(value, numbers.unit))
         if number is None or (kind is int and not isinstance(number, int)):
             return None
@@ -304,6 +307,8 @@ def _check_literal(values: tuple[Any, ...]) -> Check:
 
     def convert(value: Any) -> Any:
         value = value.item() if isinstance(value, np.generic) else value
+        if isinstance(value, float):  # a norm, as NumPy's take it
+            value = "inf" if value == np.inf else int(value) if value.is_integer() else value
         return value if isinstance(value, str | int) and (type(value), value) in options else None
 
     return _simple(join_names(map(format_value, values)), convert)
@@ -338,7 +343,7 @@ def _refusal(wanted: str, value: Any) -> InputError:
 
 def _check_list(check: Check | None) -> Check:
     def convert(value: Any, sizes: Sizes) -> Any:
-        is_list = isinstance(value, list | tuple | range | Array)
+        is_list = isinstance(value, list | tuple | range | deque | Array)
         if not is_list or (type(value) is Array and not value.ndim):
             raise _refusal("a list", value)
         if check is None:

@@ -29,7 +29,7 @@ class InputError(ValueError):
 
 
 def join_names(names: Iterable[Any], last: str = "or") -> str:
-    """Join names in a sentence: "a, b or c"."""
+    """Join names in a sentence: "a, b or c"; "none" where there are none."""
     *most, end = [str(name) for name in names] or ["none"]
     return f"{', '.join(most)} {last} {end}" if most else end
 

@@ -87,7 +87,7 @@ def parse_unit(text: str, unit: str) -> float:
     quantity = SUFFIXES[unit].quantity if unit else ""
     if suffix not in SUFFIXES or SUFFIXES[suffix].quantity != quantity:
         known = [one.symbol for one in SUFFIXES.values() if one.quantity == quantity]
-        raise InputError("", f'has the unit "{text}"; {join_names(known or ["none"])} would do')
+        raise InputError("", f'has the unit "{text}"; {join_names(known)} would do')
     return SUFFIXES[suffix].factor
 
 

@@ -25,6 +25,7 @@ else:
     Numbers = Float[Array, "..."] | float
 Positions = Float[Array, "*k n 3"]
 Yaws = Float[Array, "*k n"]
+Weights = Float[Array, "*k n n"] | Bool[Array, "*k n n"]  # of edges, or True for them
 DEFAULT_OPTICAL_AXIS = (1 / sqrt(2), 1 / sqrt(2), 0.0)
 
 
@@ -169,14 +170,14 @@ def bearings(
 
 
 @checked
-def laplacian(weight: Float[Array, "*k n n"]) -> Float[Array, "*k n n"]:
+def laplacian(weight: Weights) -> Float[Array, "*k n n"]:
     """Build the Laplacian L = diag(Σ_j A_ij) − A."""
     return _laplacian(weight, weight.sum(axis=-1))
 
 
 @checked
 def algebraic_connectivity(
-    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"] | None = None
+    weight: Weights, members: Bool[Array, "*k n"] | None = None
 ) -> AlgebraicConnectivity:
     """Compute λ₂ of the Laplacian and its derivatives with respect to the weights.
 
@@ -185,7 +186,7 @@ def algebraic_connectivity(
     of the mean of the coinciding eigenvalues, which is smooth and independent of the basis.
 
     Args:
-        weight: Edge weights, at most 1, of at least two agents.
+        weight: Edge weights, at most 1; or True for edges.
         members: True for agents of the graph; all if absent. λ₂ of one agent is infinite.
     """
     is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
@@ -196,7 +197,7 @@ def algebraic_connectivity(
     equal = np.where(np.isfinite(second), value[..., 1:] <= limit, False)
     shares = equal / np.maximum(equal.sum(axis=-1, keepdims=True), 1)
     gradient = _weight_gradient(vector[..., 1:], shares, is_member)
-    return AlgebraicConnectivity(value[..., 1], third, gradient)
+    return AlgebraicConnectivity(second[..., 0], third, gradient)
 
 
 @checked
@@ -240,9 +241,7 @@ def connectivity_eigenvalues(
     return _select_eigenvalues(value, members)[1:]
 
 
-def _pad_laplacian(
-    weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
-) -> Float[Array, "*k n n"]:
+def _pad_laplacian(weight: Weights, members: Bool[Array, "*k n"]) -> Float[Array, "*k n n"]:
     # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
     among = weight
     if not members.all():
@@ -250,9 +249,7 @@ def _pad_laplacian(
     return _laplacian(among, np.where(members, among.sum(axis=-1), 2.0 * weight.shape[-1]))
 
 
-def _laplacian(
-    weight: Float[Array, "*k n n"], degree: Float[Array, "*k n"]
-) -> Float[Array, "*k n n"]:
+def _laplacian(weight: Weights, degree: Float[Array, "*k n"]) -> Float[Array, "*k n n"]:
     L = -np.asarray(weight, dtype=float)
     diagonal = np.einsum("...ii->...i", L)  # a view
     diagonal += degree
@@ -266,7 +263,8 @@ def _select_eigenvalues(
     n = value.shape[-1]
     if not members.all():
         value = np.where(np.arange(n) < members.sum(axis=-1)[..., None], value, np.inf)
-    return value, value[..., 1], value[..., 2] if n > 2 else np.full_like(value[..., 1], np.inf)
+    absent = np.full(value.shape[:-1], np.inf)
+    return value, value[..., 1] if n > 1 else absent, value[..., 2] if n > 2 else absent
 
 
 @checked

@@ -1,7 +1,7 @@
 """Optimal transfer of one agent from a state to a state [Morgan2016, Problem 6]."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from math import inf, isfinite
 from types import SimpleNamespace
@@ -284,6 +284,9 @@ class TransferProblem:
         """
         fuel = float(compute_fuel(u, self.model.dt, self.fuel_norm))
         return Trajectory(self.model.simulate(start, u), u, fuel)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # no caches
 
     @cached_property
     def _cvxpy_problem(self) -> tuple[Any, Any]:

@@ -29,6 +29,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     for name in ("x", "u", "position", "velocity")
 } | {
     "align.measured": ("nan entry",),
+    "algebraic_connectivity.weight": ("bool entries",),
+    "laplacian.weight": ("bool entries",),
     "are_hulls_separated.relative": ("nan entry",),  # from what is nowhere nothing is separated
     "GainMatrix.bound_xy": ("inf",),  # proves nothing
     "GainMatrix.bound_z": ("inf",),

@@ -1,5 +1,6 @@
 """Public functions and classes check their arguments by the annotations."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, nan
@@ -72,6 +73,10 @@ ODD = (object(), object, lambda: 0, (i for i in range(3)), {}, b"1", "1", "x" * 
         ("count", HUGE, "at most 1e.09"),
         ("norm", True, 'must be 1, 2 or "inf"'),
         ("norm", 3, "got 3"),
+        ("norm", 1.5, "got 1.5"),
+        ("norm", nan, "got nan"),
+        ("dt", {}, "must be a finite number above 0, got a table"),
+        ("x", {}, 'column "x" is missing; there are none'),
         ("is_joint", 1, "must be True or False, got 1"),
         ("name", b"a", "must be text"),
         ("cost", 3, "must be a function"),
@@ -108,6 +113,11 @@ def test_lists_and_numbers_of_numpy_are_converted():
     assert chosen.dtype == np.int64 and graph.dtype == bool
 
 
+@pytest.mark.parametrize(("given", "norm"), [(inf, "inf"), (2.0, 2), (np.int64(2), 2)])
+def test_norms_are_taken_as_numpy_takes_them(given, norm):
+    assert move(X, 1.0, norm=given)[6] == norm
+
+
 def test_an_array_of_floats_passes_as_it_is():
     assert move(X, 1.0, targets=(a := np.full((4, 2), nan)))[10] is a
 
@@ -137,6 +147,25 @@ class Model:
 
     def within(self) -> Array:
         return self.step("anything")
+
+
+@checked
+@dataclass(frozen=True, repr=False)
+class Told:
+    """Value with a text of its own."""
+
+    gain: float = 1.0
+
+    def __repr__(self) -> str:
+        return "told"
+
+
+def test_a_queue_is_taken_for_a_list():
+    assert move(X, 1.0, times=deque([1, 2]))[11] == (1.0, 2.0)
+
+
+def test_a_text_of_its_own_is_kept():
+    assert repr(Told()) == "told"
 
 
 @checked

@@ -3,6 +3,7 @@
 import casadi
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from problems.interaction_graph import (
     Camera,
@@ -136,3 +137,11 @@ def test_the_gradient_of_a_multiple_eigenvalue_is_independent_of_the_basis(rng):
     more[0, 1] = more[1, 0] = 1 + h
     value = np.linalg.eigvalsh(laplacian(more))[1:]
     assert (value.mean() - 5) / h == pytest.approx(found.weight_gradient[0, 1], abs=1e-6)
+
+
+def test_edges_weigh_one_and_one_agent_is_connected():
+    graph = ~np.eye(4, dtype=bool)
+    same = algebraic_connectivity(graph), algebraic_connectivity(graph.astype(float))
+    for found, expected in zip(*same, strict=True):
+        assert_allclose(found, expected)
+    assert algebraic_connectivity(np.zeros((2, 1, 1))).lambda2.tolist() == [np.inf, np.inf]

@@ -1,5 +1,6 @@
 """Transfer problem in all norms: laws, SCS and HiGHS."""
 
+from copy import deepcopy
 from itertools import product
 from math import inf
 
@@ -192,3 +193,10 @@ def test_time_varying_dynamics_and_drift_are_solved(rng):
     )
     assert_allclose(found.x[-1], steps.simulate(start, u)[-1], atol=1e-7)
     assert found.fuel <= 0.5 * size(u, 2).sum() + 1e-7
+
+
+def test_copies_of_a_solved_problem_solve_it_again():
+    problem = TransferProblem(plane, 0.5, 1.0)
+    ends = np.zeros(4), np.array([1.0, 1.0, 0.0, 0.0])
+    fuel = problem.solve(*ends).fuel
+    assert deepcopy(problem).solve(*ends).fuel == pytest.approx(fuel, abs=1e-9)
