@@ -235,11 +235,8 @@ def _public_objects() -> Iterator[Any]:
             if not name.startswith("__"):
                 yield getattr(package, name)
     pattern = r"^from ((?:dynamics|problems|sato)\S*) import (\([^)]*\)|[^\n(]*)"
-    for page in [
-        ROOT / "README.md",
-        *sorted(ROOT.glob("docs/**/*.md")),
-        *ROOT.glob("docs/**/*.py"),
-    ]:
+    pages = [*sorted(ROOT.glob("docs/*.md")), *sorted(ROOT.glob("docs/lessons/*.*"))]
+    for page in [ROOT / "README.md", *(page for page in pages if page.suffix in (".md", ".py"))]:
         for module, names in re.findall(pattern, page.read_text(encoding="utf-8"), re.MULTILINE):
             for name in re.findall(r"\w+", names):
                 yield getattr(import_module(module), name, None)
