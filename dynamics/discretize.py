@@ -105,7 +105,9 @@ class DiscreteModel:
             R[k + 1, :, k * m : (k + 1) * m] += self.B[k] * shares
         return R
 
-    def simulate(self, x: AgentStates, u: FlownControls) -> StateSamples:
+    def simulate(
+        self, x: AgentStates, u: Annotated[Float[Array, "*#agents T m"], MAY_BE_NAN]
+    ) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         if u.shape[-2] > len(self):
             raise InputError("u", f"must have {len(self)} steps at most, got {u.shape[-2]}")

@@ -255,8 +255,8 @@ def _check_number(kind: type, numbers: NumberRule) -> Check:
             number = float(number) if abs(number) <= LARGEST else None
         if number is None or not numbers.admit(number):
             return None
-        if kind is int and is_bounded:
-            return number
+        if is_bounded:
+            return kind(number)
         return check_range(kind(number)) if is_positive or abs(number) > 1 else kind(number)
 
     return _simple(words[kind] + numbers.words(), convert)

@@ -80,7 +80,7 @@ class Orbit:
     inclination: Angle
     arg_latitude: Turn
     mu: Annotated[float, Unit("m3_s2")] = EARTH_MU
-    k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU
+    k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU
     body_radius: Length = FROM_MU
 
     def __post_init__(self) -> None:
@@ -105,7 +105,7 @@ class Orbit:
         arg_perigee: Angle = 0.0,
         true_anomaly: Angle = 0.0,
         mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU,
-        k_J2: Annotated[float, Unit("m5_s2")] = FROM_MU,
+        k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU,
         body_radius: Length = FROM_MU,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.

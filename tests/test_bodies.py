@@ -11,7 +11,7 @@ import sato
 from dynamics import Atmosphere, InertialPlant, NonlinearPlant, propagate
 from dynamics.bodies import BODIES, EARTH_J2, find_body
 from dynamics.forces import Forces
-from dynamics.orbit import K_J2
+from dynamics.orbit import K_J2, Orbit
 from sato.export import iterate_ephemerides
 
 VENUS, MARS, MOON, PEBBLE = 3.2486e14, 4.2828e13, 4.9028e12, 4.89
@@ -199,3 +199,10 @@ def test_drag_about_another_body_is_refused():
                 legs=[sato.Leg(np.array([[0.0, 60, 0], [0, 260, 0]]), steps=6)], step=60.0,
                 comm_radius=2e3, collision_radius=50.0, max_control=0.01, max_speed=4.0,
             )  # fmt: skip
+
+
+def test_bodies_as_large_as_the_sun_have_orbits():
+    jupiter = Orbit.from_elements(8e7, mu=1.26686534e17, k_J2=1.43125e31, body_radius=71492e3)
+    sun = Orbit.from_elements(1.5e11, mu=1.32712440018e20, k_J2=0.0)
+    assert jupiter.mean_motion**2 * 8e7**3 == pytest.approx(jupiter.mu)
+    assert sun.period == pytest.approx(365.25 * 86400, rel=0.01)

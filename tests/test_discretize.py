@@ -218,3 +218,12 @@ def test_constant_acceleration_gives_a_parabola(rng, axes):
 def test_dimensions_other_than_2_and_3_are_refused(axes):
     with pytest.raises(ValueError, match=f"2 or 3 axes, got {axes}"):
         DoubleIntegrator(axes)
+
+
+def test_agents_may_share_controls(rng):
+    steps, x, u = (
+        discretize_zoh(DoubleIntegrator(2), 0.5, 4),
+        rng.normal(size=(3, 4)),
+        np.ones((4, 2)),
+    )
+    assert_allclose(steps.simulate(x, u), steps.simulate(x, np.tile(u, (3, 1, 1))))

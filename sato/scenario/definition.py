@@ -40,8 +40,8 @@ from pydantic import (
 
 from dynamics.callbacks import Callback, guard
 from dynamics.doors import check_methods, checked
+from dynamics.inputs import LARGEST, shorten
 from dynamics.inputs import as_array as as_array
-from dynamics.inputs import shorten
 from dynamics.labels import to_plain
 from dynamics.model import Model
 from dynamics.plant import Plant
@@ -337,7 +337,7 @@ def is_auto(value: Any) -> bool:
 
 def _as_coordinates(value: Any) -> tuple[float, ...]:
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        is_huge = isinstance(value, int) and abs(value) > 1e30
+        is_huge = isinstance(value, int) and abs(value) > LARGEST
         one = format_value(value) if is_huge else f"{value:g}"
         raise InputError("", f"must be a list of numbers such as [{one}, {one}], got {one}")
     return tuple(as_array(value, 1).tolist())
