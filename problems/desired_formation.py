@@ -48,7 +48,9 @@ class DesiredFormation:
         _validate_graph(self.graph, len(self.points))
 
     @classmethod
-    def with_complete_graph(cls, points: Float[Array, "n 3"], name: str = "") -> "DesiredFormation":
+    def with_complete_graph(
+        cls, points: Annotated[Float[Array, "n 3"], Unit("m")], name: str = ""
+    ) -> "DesiredFormation":
         """Build a formation in which every agent measures every other one.
 
         Args:

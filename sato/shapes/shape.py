@@ -192,7 +192,8 @@ class Points(Shape):
     def _states(self) -> tuple[Float[Array, "k d"], Float[Array, "rows axes"] | None]:
         if self.file is None:
             return np.asarray(self.positions), self.velocities
-        points, velocities = read_states(Path(self.file))
+        with errors_in("file"):
+            points, velocities = read_states(Path(self.file))
         if velocities is not None and self.velocities is not None:
             raise InputError("velocities_m_s", "stand in the file too; one of the two is enough")
         return points, self.velocities if velocities is None else velocities
