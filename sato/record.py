@@ -62,7 +62,7 @@ def collect_run_data(
     frames: Sequence[FrameT],
     mission: MissionT,
     stopped: str = "",
-    **attributes: str | float,
+    **attributes: str | int | float,
 ) -> RunData:
     """Collect the data of a run from its frames.
 
