@@ -400,7 +400,7 @@ SUBJECTS = [
 
 @dataclass
 class Truth:
-    """What a right callback flies."""
+    """Flight or cells of a right callback."""
 
     states: Any  # of the right callback
     cells: dict[str, Any]

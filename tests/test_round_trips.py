@@ -1,4 +1,4 @@
-"""What goes into a file, a copy or a pickle comes back, or is named as skipped."""
+"""Round trips: values come back from files, copies and pickles, or are named as skipped."""
 
 import copy
 import importlib
