@@ -214,7 +214,7 @@ def test_model_of_another_orbit_than_that_of_the_chief_is_refused(kind):
     mars = sato.Orbit.from_elements(3800e3, inclination=0.7, mu=4.282837e13)
     limits = {"comm_radius": 3e3, "collision_radius": 50.0, "max_control": 0.01, "max_speed": 4.0}
     legs, chief = [sato.Leg(start, 6)], sato.Chief(semi_major_axis=6878e3)
-    with pytest.raises(sato.InputError, match=r"model: has a period of 7\d+.* s, and the chief 567"):
+    with pytest.raises(sato.InputError, match=r"model: has a period of 7.* the chief 567"):
         sato.Reconfiguration(
             model=kind.from_orbit(mars), chief=chief, start=start, legs=legs, step=60.0, **limits
         )

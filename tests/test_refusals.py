@@ -186,11 +186,12 @@ def test_refusal_asks_for_no_long_program_that_speed_limits_make_slow(norm, monk
 
     monkeypatch.setattr("sato.reconfiguration.pair_reach.can_transfer", can_transfer)
     orbit = sato.Orbit.from_elements(6878e3, inclination=0.8)
-    start = np.c_[np.zeros(2), 150.0 * np.arange(2), np.zeros(2)]
+    start = np.array([[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
+    goal = start + np.array([0.0, 600e3, 0.0])
     mission = sato.Reconfiguration(
         model=sato.ClohessyWiltshire.from_orbit(orbit),
         start=start,
-        legs=[sato.Leg(start + [0.0, 600e3, 0.0], 24)],
+        legs=[sato.Leg(goal, 24)],
         step=60.0,
         comm_radius=3e3,
         collision_radius=50.0,

@@ -217,7 +217,7 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         others = join_names(f'"{name}"' for name in MODELS)
         none = '"double_integrator" has no orbit, and this mission has a [chief]'
         raise InputError("model.kind", f"{none}; {others} would do")
-    if chief is not None and isinstance(model, CircularOrbitModel):
+    if chief is not None and isinstance(model, ClohessyWiltshire | SchweighartSedwick):
         period = chief.orbit.period
         if abs(model.n * period / (2 * pi) - 1) > OTHER_N:
             reason = f"has a period of {2 * pi / model.n:.5g} s, and the chief {period:.5g} s"
