@@ -3,7 +3,7 @@
 Neither package is imported: an object is known by the package of its class.
 """
 
-from datetime import timedelta
+from datetime import date, timedelta
 from math import pi
 from typing import Any
 
@@ -92,7 +92,7 @@ def _split(value: Any) -> tuple[Any, Powers] | None:
             return np.asarray(value.value), {str(base): 1.0}
         powers = {b.name: float(p) for b, p in zip(base.bases, base.powers, strict=True)}
         return np.asarray(value.value) * base.scale, powers
-    if hasattr(value, "units") or hasattr(value, "unit"):
+    if not isinstance(value, date) and (hasattr(value, "units") or hasattr(value, "unit")):
         cure = "a quantity of astropy or pint, or plain numbers in SI units, would do"
         raise InputError("", f"has units of a package that is not known, {_format(value)}; {cure}")
     return None

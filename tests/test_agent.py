@@ -399,6 +399,7 @@ def see_one(mission, thing):
         ((True, np.zeros(4)), "seen.0.0: must be an integer at least 0, got true"),
         ((1, np.full(4, np.nan)), "state must be 4 finite numbers"),
         (sato.Sphere((9.0, 9.0, 9.0), 1.0), "seen.0: has 3 coordinates, and the mission 2"),
+        ((0, np.zeros(4)), "seen.0: is agent 0 itself"),
     ],
 )
 def test_what_an_agent_cannot_have_seen_is_refused(thing, reason):
@@ -415,6 +416,20 @@ def test_messages_have_whole_numbers(header):
 def test_memory_of_an_agent_is_that_of_one():
     with pytest.raises(sato.InputError, match="memory: must be that of an agent, got 3"):
         sato.Agent(four()[0], 0).memory = 3
+    _, agents = four()
+    with pytest.raises(sato.InputError, match="memory: is that of agent 2, and this is agent 1"):
+        agents[1].memory = agents[2].memory
+
+
+def test_agent_bids_on_no_more_targets_than_its_leg_has():
+    with pytest.raises(sato.InputError, match="target_count: 5 is more than the 4 targets of"):
+        sato.Agent(four()[0], 0, target_count=5)
+
+
+def test_agent_that_begins_outside_of_its_box_is_refused():
+    _, agents = four(box=[[-20.0, -3.0], [20.0, 9.0]])
+    with pytest.raises(sato.InputError, match=r"state: agent 0 begins outside of .* model\.box_m"):
+        agents[0].step(0.0, [0.0, -3.1, 0.0, 0.0], [])
 
 
 def test_wrong_use_is_refused_with_a_cure():

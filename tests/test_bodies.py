@@ -206,3 +206,15 @@ def test_bodies_as_large_as_the_sun_have_orbits():
     sun = Orbit.from_elements(1.5e11, mu=1.32712440018e20, k_J2=0.0)
     assert jupiter.mean_motion**2 * 8e7**3 == pytest.approx(jupiter.mu)
     assert sun.period == pytest.approx(365.25 * 86400, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", [sato.ClohessyWiltshire, sato.SchweighartSedwick])
+def test_model_of_another_orbit_than_that_of_the_chief_is_refused(kind):
+    start = np.c_[np.zeros(3), 150.0 * np.arange(3), np.zeros(3)]
+    mars = sato.Orbit.from_elements(3800e3, inclination=0.7, mu=4.282837e13)
+    limits = {"comm_radius": 3e3, "collision_radius": 50.0, "max_control": 0.01, "max_speed": 4.0}
+    legs, chief = [sato.Leg(start, 6)], sato.Chief(semi_major_axis=6878e3)
+    with pytest.raises(sato.InputError, match=r"model: has a period of 7.* the chief 567"):
+        sato.Reconfiguration(
+            model=kind.from_orbit(mars), chief=chief, start=start, legs=legs, step=60.0, **limits
+        )

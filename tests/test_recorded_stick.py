@@ -66,3 +66,14 @@ def test_command_that_outlasts_its_recording_is_said():
     with pytest.warns(UserWarning, match="ends at 0.5 s of 2 s, and its last command of 0.4 m/s"):
         sato.run(mission_of([0.0, 0.5], [STILL, AHEAD]))
     assert mission_of([0.0, 0.5]).draw(np.random.default_rng(0)).warnings() == []
+
+
+def test_recording_that_ends_at_rest_before_the_flight_is_refused():
+    with pytest.raises(ValueError, match=r"times_s: lie from -9 to -1 s, before the flight"):
+        mission_of([-9.0, -4.0, -1.0]).draw(np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(("times", "is_doubted"), [([0, 500, 900], True), ([0, 1, 2.5], False)])
+def test_recording_of_which_most_comes_after_the_flight_is_doubted(times, is_doubted):
+    doubts = mission_of(times).draw(np.random.default_rng(0)).warnings()
+    assert any("1 of 3 commands; are the times in s?" in text for text in doubts) == is_doubted

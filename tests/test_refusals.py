@@ -174,3 +174,31 @@ def test_errors_survive_the_way_from_a_worker_process(error):
     assert (type(again), str(again)) == (type(error), str(error))
     assert again.__dict__.keys() == error.__dict__.keys()
     assert all(np.array_equal(again.__dict__[name], error.__dict__[name]) for name in vars(error))
+
+
+@pytest.mark.parametrize("norm", [1, 2, "inf"])
+def test_refusal_asks_for_no_long_program_that_speed_limits_make_slow(norm, monkeypatch):
+    solved = []
+
+    def can_transfer(departure, target, steps, factor):
+        solved.append(steps)
+        return False
+
+    monkeypatch.setattr("sato.reconfiguration.pair_reach.can_transfer", can_transfer)
+    orbit = sato.Orbit.from_elements(6878e3, inclination=0.8)
+    start = np.array([[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
+    goal = start + np.array([0.0, 600e3, 0.0])
+    mission = sato.Reconfiguration(
+        model=sato.ClohessyWiltshire.from_orbit(orbit),
+        start=start,
+        legs=[sato.Leg(goal, 24)],
+        step=60.0,
+        comm_radius=3e3,
+        collision_radius=50.0,
+        max_control=1e-3,
+        max_speed=2.0,
+        control_norm=norm,
+    )
+    with pytest.raises(InputError, match=r"leg\.0\.steps: agent 0 can reach none of its targets"):
+        mission.draw(np.random.default_rng(0))
+    assert max(solved, default=0) < 250

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 
 import sato
@@ -281,3 +282,11 @@ def test_epochs_of_all_years_are_exported_as_they_are(epoch, seconds, expected):
 def test_epochs_that_no_export_can_write_are_refused(epoch, words):
     with pytest.raises(sato.InputError, match=words):
         sato.Chief(semi_major_axis=7e6, epoch=epoch)
+
+
+def test_timestamps_of_pandas_are_epochs_of_whole_microseconds():
+    text = "2026-01-01T09:00:00.123456"
+    given = pandas.Timestamp(text, tz="Asia/Tokyo")
+    assert sato.Chief(semi_major_axis=7e6, epoch=given).epoch == "2026-01-01T00:00:00.123456"
+    with pytest.raises(sato.InputError, match="epoch: must be of whole microseconds"):
+        sato.Chief(semi_major_axis=7e6, epoch=pandas.Timestamp(text + "789"))

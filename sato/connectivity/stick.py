@@ -141,9 +141,12 @@ class RecordedStick(Stick):
         """Refuse a drawn stick that says nothing in a flight of this duration [s].
 
         Raises:
-            InputError: It begins after the end of the flight.
+            InputError: It begins after the end of the flight, or ends at rest before its start.
         """
         first, last = self.times[[0, -1]].tolist()
+        if last < 0 and not self.velocities[-1].any():
+            reason = f"lie from {first:.10g} to {last:.10g} s, before the flight, which begins at 0"
+            raise InputError("times_s", f"{reason}; times that are more by {-first:.10g} would do")
         if first >= duration:
             raise InputError(
                 "times_s",
@@ -152,7 +155,13 @@ class RecordedStick(Stick):
             )
 
     def doubt_end(self, duration: float) -> list[str]:
-        """Say where a command goes on after a drawn recording, in a sentence."""
+        """Say where a command goes on after a drawn recording, or most come after the flight."""
+        flown = int((self.times < duration).sum())
+        if 2 * flown <= len(self.times):
+            return [
+                f"the stick's recording ends at {self.times[-1]:.4g} s, and the flight at "
+                f"{duration:g} s, with {flown} of {len(self.times)} commands; are the times in s?"
+            ]
         speed, last = float(np.linalg.norm(self.velocities[-1])), float(self.times[-1])
         usual = float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
         if last + usual >= duration or not speed:

@@ -24,6 +24,7 @@ from sato.reconfiguration.agent_inputs import (
     as_state,
     check_agent,
     check_inbox,
+    check_inside,
     check_seen,
     checksum,
     list_doubts,
@@ -112,6 +113,9 @@ class Agent:
         m = np.full(len(alone), believed)
         self.solver = VerifiedSolver(mission.solver, mission.tolerance or TOLERANCE)
         leg = draw_leg(mission, leg, believed, start or 0) if leg else mission.legs[0]
+        if target_count and target_count > len(leg.targets):
+            reason = f"{target_count} is more than the {len(leg.targets)} targets of the leg"
+            raise InputError("target_count", f"{reason}; {len(leg.targets)} or less would do")
         leg = self._own_leg(leg)
         known = estimator.Estimate.none(len(alone), mission.axes)
         committed = {number: commitment} if commitment else {}
@@ -152,7 +156,7 @@ class Agent:
         received = check_inbox(self.number, inbox, self.mission.link.is_ideal)
         before = self.memory.under_way
         if instant != self.memory.instant:
-            things = check_seen(self.mission, seen)
+            things = check_seen(self.mission, self.number, seen)
             self.memory = self._begin_instant(instant, as_state(self.mission, state), things)
         elif self.mission.link.is_ideal:
             self.memory = self._hear(received)
@@ -227,6 +231,8 @@ class Agent:
     def memory(self, memory: Any) -> None:
         if not isinstance(memory, FlightMemory):
             raise InputError("memory", f"must be that of an agent, got {format_value(memory)}")
+        if (other := len(memory.believed) - 1) != self.number:
+            raise InputError("memory", f"is that of agent {other}, and this is agent {self.number}")
         self._memory = memory
 
     @property
@@ -275,6 +281,7 @@ class Agent:
             flown = self._end_network_decision(instant) if mission.lag_steps else self.memory
         else:
             alone = np.array([self.number])
+            check_inside(mission, self.number, state)
             check_stops(mission, alone, state[None], "state", flown.committed, instant)
         measured = np.tile(state, (self.number + 1, 1))
         estimate = estimator.update(mission, flown.estimate, measured)

@@ -16,6 +16,7 @@ from dynamics.doors import checked
 from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
+from sato.reconfiguration.allowed_places import are_inside
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.surroundings import Sensed
@@ -126,6 +127,17 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     return nearest
 
 
+def check_inside(mission: Reconfiguration, number: int, state: Float[Array, " n"]) -> None:
+    """Refuse a first state that is outside of the allowed positions, by more than the margin.
+
+    Raises:
+        InputError: It is.
+    """
+    if not are_inside(mission, state[None, : mission.axes], -mission.margin).all():
+        reason = f"agent {number} begins outside of the allowed positions, model.box_m"
+        raise InputError("state", f"{reason}; a place inside would do")
+
+
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     """Return a state as an array.
 
@@ -144,15 +156,19 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     return array
 
 
-def check_seen(mission: Reconfiguration, seen: Sequence[Sensed]) -> list[Sensed]:
+def check_seen(mission: Reconfiguration, number: int, seen: Sequence[Sensed]) -> list[Sensed]:
     """Return what an agent has seen, with states as arrays.
 
     Raises:
-        ValueError: An obstacle has other coordinates than the mission, or a state is none.
+        ValueError: An obstacle has other coordinates than the mission, a state is none, or a lost
+            vehicle has the agent's own number.
     """
     found: list[Sensed] = []
     for k, thing in enumerate(seen):
         if not isinstance(thing, Obstacle):
+            if thing[0] == number:
+                reason = f"is agent {number} itself; others that are lost would do"
+                raise InputError(f"seen.{k}", reason)
             found.append((thing[0], as_state(mission, thing[1])))
         elif thing.axes == mission.axes:
             found.append(thing)

@@ -33,6 +33,7 @@ MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
     "eccentric": TschaunerHempel,
     "j2": lambda orbit: LinearizedModel(J2(orbit)),
 }
+OTHER_N = 0.01  # relative difference of mean motions from which on orbits are others
 SAMPLED_STEPS = (0, 1, 3, 7, 15, 31, 63, 127, 255, 511, 1023)  # at which models are compared
 AIR = {"density_kg_m3": "density", "altitude_m": "altitude", "scale_height_m": "scale_height"}
 
@@ -216,6 +217,11 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         others = join_names(f'"{name}"' for name in MODELS)
         none = '"double_integrator" has no orbit, and this mission has a [chief]'
         raise InputError("model.kind", f"{none}; {others} would do")
+    if chief is not None and isinstance(model, ClohessyWiltshire | SchweighartSedwick):
+        period = chief.orbit.period
+        if abs(model.n * period / (2 * pi) - 1) > OTHER_N:
+            reason = f"has a period of {2 * pi / model.n:.5g} s, and the chief {period:.5g} s"
+            raise InputError("model", f"{reason}; from_orbit of the chief's orbit would do")
     for name, part in (("model", model), ("plant", plant)):
         about = getattr(part, "chief_orbit", None)
         mu = getattr(getattr(part, "orbit", part) if about is None else about, "mu", None)

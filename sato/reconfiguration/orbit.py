@@ -47,7 +47,8 @@ WAYS = {
 def _as_utc(value: Any) -> Any:
     # A date is one in TOML, with quotes and without.
     try:
-        time = datetime.fromisoformat(value.isoformat() if isinstance(value, date) else value)
+        value = value.isoformat() if isinstance(value, date) else value
+        time = datetime.fromisoformat(value)
         if time.tzinfo is not None:
             time = time.astimezone(UTC).replace(tzinfo=None)
     except (TypeError, ValueError, OverflowError) as error:
@@ -55,7 +56,7 @@ def _as_utc(value: Any) -> Any:
         raise InputError("", reason) from error
     if not YEARS[0] <= time.year <= YEARS[1]:
         raise InputError("", f"must be in the years {YEARS[0]} to {YEARS[1]}, got {time.year}")
-    if isinstance(value, str) and re.search(r"[.,]\d{6}\d*[1-9]", value):
+    if re.search(r"[.,]\d{6}\d*[1-9]", value):
         raise InputError("", f"must be of whole microseconds, got {value}")
     return time.isoformat()
 

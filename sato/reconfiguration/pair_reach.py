@@ -1,7 +1,7 @@
 """Reach of targets by vehicles that are alone: bounds for all pairs, and single transfers."""
 
 from collections.abc import Iterator
-from math import inf
+from math import inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ PROGRAM_TIME = 2e-3, 5e-5, 4e-7, 6e-10  # of a program, by powers of its steps [
 LINEAR = 0.15  # of the time of a program with cones,
 LINEAR_STEPS = 500  # up to so many steps; beyond, both take their time to be assembled
 INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
+SPEED_TIME = 1.5e-7  # of a cubed step, to tell that none keeps a speed limit, at worst [s]
 STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
@@ -61,11 +62,16 @@ class Budget:
             Undecided: There is less time than that takes.
         """
         seconds = float(np.polynomial.Polynomial(PROGRAM_TIME)(steps))
+        refusal = INFEASIBLE * seconds
+        if isfinite(_speed_limit(departure, factor).most) and not departure.mission.is_point_mass:
+            refusal = max(refusal, SPEED_TIME * steps**3)
+            if refusal > self._left:
+                raise Undecided(is_too_large=False)
         is_short = departure.mission.control_norm == "inf" and steps <= LINEAR_STEPS
         self.spend(seconds * (LINEAR if is_short else 1.0))
         is_reachable = can_transfer(departure, target, steps, factor)
         if not is_reachable:
-            self._left -= INFEASIBLE * seconds
+            self._left -= refusal
         return is_reachable
 
     def spend_on_model(self, departure: Departure, steps: int) -> None:
