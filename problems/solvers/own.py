@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.callbacks import CallbackError, as_kind, as_shape, call, is_own
+from dynamics.callbacks import CallbackError, as_kind, as_shape, call, is_own, name_of
 from dynamics.inputs import InputError
 from problems.conic import (
     TOLERANCE,
@@ -29,28 +29,23 @@ class OwnSession:
     """
 
     def __init__(self, factory: Any, program: ConicProgram, tolerance: float) -> None:
-        name = getattr(factory, "__qualname__", type(factory).__name__)
-        session = call(name, factory, deepcopy(program), tolerance)
-        self._sizes = len(program.q), len(program.b)
-        self._name, self._solve = (
-            f"{type(session).__name__}.solve",
-            call(name, getattr, session, "solve"),
-        )
+        session = call(name_of(factory), factory, deepcopy(program), tolerance)
+        self._name, self._sizes = f"{type(session).__name__}.solve", program.A.shape[::-1]
+        self._solve = call(name_of(factory), getattr, session, "solve")
 
     def solve(self, b: Float[Array, " m"]) -> SolverResult:
         """Solve with another right-hand side."""
-        found: SolverResult = call(self._name, self._solve, b, check=self._check)
-        return found
+        result: SolverResult = call(self._name, self._solve, b, check=self._check)
+        return result
 
-    def _check(self, found: Any) -> SolverResult:
-        said, message, *numbers = (*as_kind(found, tuple, RESULT), None, None, None, None, None)[:5]
-        status: Status | None = next((s for s in get_args(Status) if str(said) == s), None)
-        if status is None or len(found) > 5:
+    def _check(self, result: Any) -> SolverResult:
+        status, message, *points, iterations = as_kind(result, SolverResult, RESULT)
+        if status not in get_args(Status):
             raise InputError("", f"must be {RESULT}, or begin with one of {get_args(Status)}")
-        sized = zip(numbers, self._sizes, strict=False)
+        sized = zip(points, self._sizes, strict=True)
         x, y = (None if part is None else as_shape(part, (size,)) for part, size in sized)
-        count = as_kind(numbers[2], int | float | np.number | None, f"{RESULT}, of a whole number")
-        return SolverResult(status, str(message), x, y, None if count is None else int(count))
+        as_kind(iterations, int | float | np.number | None, f"{RESULT}, of a whole number")
+        return SolverResult(status, str(message), x, y, iterations and int(iterations))
 
 
 def ask(solver: Any, program: ConicProgram) -> ConicSolution:
@@ -61,19 +56,19 @@ def ask(solver: Any, program: ConicProgram) -> ConicSolution:
         CallbackError: A function of the user's own raised, or returned no answer.
     """
 
-    def check(found: Any) -> ConicSolution:
-        as_kind(found, ConicSolution | SolverResult, "a ConicSolution")
-        x, y = as_shape(found.x, program.q.shape), as_shape(found.y, program.b.shape)
+    def check(answer: Any) -> ConicSolution:
+        as_kind(answer, ConicSolution | SolverResult, "a ConicSolution")
+        x, y = as_shape(answer.x, program.q.shape), as_shape(answer.y, program.b.shape)
         return ConicSolution.evaluate(program, x, y)
 
+    solution: ConicSolution
     if not is_own(solver):
-        solution: ConicSolution = solver(program)
+        solution = solver(program)
         return solution
-    name, passes = getattr(solver, "__qualname__", type(solver).__name__), (CallbackError, Unsolved)
+    name, passes = name_of(solver), (CallbackError, Unsolved)
     solution = call(name, solver, deepcopy(program), passes=passes, check=check)
-    if not solution.max_residual <= TOLERANCE:
-        reason = (
-            f"{name}: residuals or the gap are {solution.max_residual:.1e}, above {TOLERANCE:.0e}"
-        )
-        raise Unsolved(program, reason)
+    worst = solution.max_residual
+    if not worst <= TOLERANCE:
+        reason = f"residuals or the gap are {worst:.1e}, above {TOLERANCE:.0e}"
+        raise Unsolved(program, f"{name}: {reason}")
     return solution

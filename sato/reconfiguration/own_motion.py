@@ -20,6 +20,9 @@ from dynamics.plant import PLANT_CALLBACKS, LinearPlant, NonlinearPlant, Plant
 from sato.scenario.errors import InputError, round_down
 
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
+DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
+SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
+MAX_TRIED = 8  # agents from whose states a Jacobian is tried
 LEAST_REACH = 1e-9  # of the direction that controls move least, over that they move most
 
 
@@ -56,10 +59,10 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
     inner = plant.model if isinstance(plant, LinearPlant | NonlinearPlant) else None
     if isinstance(plant, Plant):
         guard_attributes(plant, PLANT_CALLBACKS)
-    for key, own in (("model", model), ("plant", inner)):
-        if is_own_model(own):
+    for key, part in (("model", model), ("plant", inner)):
+        if is_own_model(part):
             try:
-                _check_model(own, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
+                _check_model(part, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
             except InputError as error:
                 raise error.inside(key) from error
     orbit = plant.chief_orbit if isinstance(plant, Plant) else None
@@ -109,12 +112,15 @@ def check_authority(name: str, model: DiscreteModel) -> None:
         raise InputError("model", f"{name}.B: {reason}; a B that is an acceleration would do")
 
 
-def try_plant(plant: Any, x: Any, step: float) -> None:
-    """Propagate the first states by a plant of the user's own, which must repeat itself.
+def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
+    """Try a model and a plant of the user's own on the first states.
 
     Raises:
-        CallbackError: It fails, or does not.
+        InputError: The Jacobian is not that of the rate.
+        CallbackError: One of them fails, or the plant does not repeat itself.
     """
+    if isinstance(model, NonlinearModel) and is_own(type(model)):
+        _check_jacobian(model, x[:MAX_TRIED], step)
     if not (isinstance(plant, Plant) and is_own(type(plant))):
         return
     u = np.zeros((len(x), x.shape[1] // 2))
@@ -124,3 +130,37 @@ def try_plant(plant: Any, x: Any, step: float) -> None:
         name = f"{type(plant).__name__}.propagate"
         reason = "returns other states for the same arguments; a plant without state and chance"
         raise CallbackError("", f"{name} {reason} would do")
+
+
+def _check_jacobian(model: NonlinearModel, x: Any, step: float) -> None:
+    """Compare a Jacobian with central differences, block by block of position and velocity."""
+    rng, count, d, name = np.random.default_rng(0), len(x), model.axes, type(model).__name__
+    # Not at rest, where friction, say, has no effect.
+    points = np.hstack([x, np.zeros((count, d))]) + rng.normal(0, [0.0] * d + [0.1] * 2 * d)
+    times = step * np.arange(count)
+    sizes = np.maximum(np.abs(points), 1.0)
+
+    def differentiate(h: float) -> Any:
+        moves = h * sizes[..., None] * np.eye(3 * d)
+        ends = (points[:, None] + sign * moves for sign in (1, -1))
+        stacks = [np.split(end.reshape(-1, 3 * d), [2 * d], axis=1) for end in ends]
+        above, below = (model.rate(times.repeat(3 * d), *stack) for stack in stacks)
+        change = (above - below).reshape(count, 3 * d, 2 * d).swapaxes(1, 2)
+        return change / (2 * h * sizes[:, None])
+
+    def largest(entries: Any) -> Any:
+        blocks = np.abs(entries).reshape(count, 2, d, 3, d).max(axis=(0, 2, 4))
+        return blocks.repeat(d, axis=0).repeat(d, axis=1)
+
+    parts = model.jacobian(times, *np.split(points, [2 * d], axis=1))
+    given, expected = np.concatenate(parts, axis=2), differentiate(DIFFERENCE)
+    rounding = largest(differentiate(2 * DIFFERENCE) - expected)
+    tolerance = SAME * np.maximum(largest(given), largest(expected)) + 4 * rounding
+    excess = np.abs(given - expected) - tolerance
+    k, i, j = np.unravel_index(excess.argmax(), excess.shape)
+    if excess[k, i, j] > 0:
+        entry = f"∂f/∂x[{i}, {j}]" if j < 2 * d else f"∂f/∂u[{i}, {j - 2 * d}]"
+        reason = f"{entry} must be {expected[k, i, j]:.6g}, by differences of {name}.rate"
+        cure = "a SymbolicModel, which is differentiated automatically, would do"
+        got = f"got {given[k, i, j]:.6g} (t={times[k]:.6g})"
+        raise InputError("model", f"{name}.jacobian: {reason}, {got}; {cure}")
