@@ -91,10 +91,11 @@ def call(
     A `check` converts the result, or raises an `InputError` that begins with "must". Exceptions
     that pass are raised as they are; of all others, and of a wrong result, a `CallbackError` tells.
     """
+    passes = *passes, MemoryError
     try:
         options = {key: protect(value) for key, value in options.items()}
         result = function(*map(protect, arguments), **options)
-    except (*passes, MemoryError):
+    except passes:
         raise
     except Exception as error:
         where = f" ({place})" if (place := _find_place(error, function)) else ""

@@ -136,10 +136,10 @@ def discretize_zoh(
     """Discretize with a zero-order hold: the control is constant over each step.
 
     Exact for a time-invariant model [Morgan2016, eq. 11]. The equations of other models
-    are integrated over each step, to eleven digits, and not frozen as in eq. 11. That
-    takes time: for a model that is a frozen, hashable dataclass, steps are kept and reused. Those
-    that begin at a multiple of their length are computed in blocks, which begin up to 15 steps
-    before the first and end up to 15 after the last.
+    are integrated over each step, to eleven digits, and not frozen as in eq. 11. That takes
+    time: for a model that is a frozen, hashable dataclass, steps that begin at a multiple of their
+    length are kept and reused. They are computed in blocks, which begin up to 15 steps before the
+    first and end up to 15 after the last.
 
     Args:
         model: The model, of any class derived from `LinearModel`.
@@ -152,10 +152,9 @@ def discretize_zoh(
     """
     if model.is_time_invariant:
         return _discretize_time_invariant(model, dt, count)
-    if not _is_immutable(model):
+    is_on_grid = isfinite(t0 / dt) and abs(t0 / dt - round(t0 / dt)) <= ON_GRID
+    if not (count and is_on_grid and _is_immutable(model)):
         return _discretize_time_varying(model, dt, count, t0)
-    if not count or not isfinite(t0 / dt) or abs(t0 / dt - round(t0 / dt)) > ON_GRID:
-        return _discretize_cached(model, dt, count, t0)
     first = round(t0 / dt)
     numbers = range(first // BLOCK_STEPS, (first + count - 1) // BLOCK_STEPS + 1)
     blocks = [_discretize_block(model, dt, number) for number in numbers]
@@ -217,13 +216,9 @@ def linearize_along(
 def have_equal_steps(
     one: LinearModel, other: LinearModel, dt: float, times: Sequence[float]
 ) -> bool:
-    """Tell whether two models are the same over a step from each of some times, up to rounding.
+    """Tell whether two models are the same over a step [s] from each of some times [s].
 
-    Args:
-        one: A model.
-        other: Another one.
-        dt: Length of a step [s].
-        times: Starts of the steps; one step stands for all of two time-invariant models [s].
+    Rounding is no difference. One step stands for all of two time-invariant models.
     """
     if one is other or one.axes != other.axes:
         return one is other
@@ -272,14 +267,6 @@ def _is_immutable(model: LinearModel) -> bool:
 @lru_cache(maxsize=4096)  # planning asks for the same steps again and again
 def _discretize_block(model: LinearModel, dt: float, number: int) -> DiscreteModel:
     return _discretize_time_varying(model, dt, BLOCK_STEPS, number * BLOCK_STEPS * dt)
-
-
-@lru_cache(maxsize=64)
-def _discretize_cached(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
-    steps = _discretize_time_varying(model, dt, count, t0)
-    for part in (steps.A, steps.B, steps.z):
-        part.setflags(write=False)
-    return steps
 
 
 def _discretize_time_varying(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:

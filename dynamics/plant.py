@@ -170,11 +170,9 @@ def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int
             f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
         )
     if not 0 < dt <= MAX_TIME or substeps < 1:
-        raise ValueError(
-            f"the duration must be positive and at most {MAX_TIME:.0e} s, with at least one "
-            "substep, got "
-            f"dt = {dt} s and substeps = {substeps}"
-        )
+        wanted = f"positive and at most {MAX_TIME:.0e} s, with at least one substep"
+        got = f"dt = {dt} s and substeps = {substeps}"
+        raise ValueError(f"the duration must be {wanted}, got {got}")
     wrong = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))
     if len(wrong):
         raise ValueError(f"agent {wrong[0]} is present, but its acceleration is {u[wrong[0]]}")

@@ -84,14 +84,14 @@ class PlantSettings(Definition):
 
     def check(self) -> None:
         """Refuse half a drag."""
+        air = {key: getattr(self, name) for key, name in AIR.items()}
         if not self.drag:
             unused = {
                 "ballistic_m2_kg": self.ballistic,
                 "ballistic_spread": self.ballistic_spread or None,
                 "chief_ballistic_m2_kg": self.chief_ballistic,
             }
-            unused |= {key: getattr(self, name) for key, name in AIR.items()}
-            for key, value in unused.items():
+            for key, value in (unused | air).items():
                 if value is not None:
                     raise InputError(key, "has no effect without drag; drag = true would use it")
             return
@@ -101,7 +101,7 @@ class PlantSettings(Definition):
             raise InputError("ballistic_m2_kg", f"is missing, and {needed}")
         if self.kind == "model":
             raise InputError("drag", 'this model has no drag; kind = "inertial" would do')
-        missing = [key for key, name in AIR.items() if getattr(self, name) is None]
+        missing = [key for key, value in air.items() if value is None]
         if 0 < len(missing) < len(AIR):
             names = join_names(AIR, "and")
             raise InputError(missing[0], f"is missing; {names} are given together, or none of them")
@@ -152,11 +152,7 @@ def as_chief(value: Any) -> Any:
 
 
 def check_orbital_model(kind: object, has_orbit: bool) -> None:
-    """Refuse an orbital model without an orbit.
-
-    Raises:
-        InputError: There is none, so the keys of the model are likely those of another.
-    """
+    """Refuse an orbital model without an orbit; its keys are likely those of another."""
     if isinstance(kind, str) and kind in MODELS and not has_orbit:
         raise InputError(
             "model.kind",
@@ -186,13 +182,7 @@ def flies_model(
     """Tell whether the vehicles do exactly what the shared model says.
 
     A plant of a linear model does so if its steps are those of the shared model, up to rounding:
-    at the beginning, and 1, 3, 7 … 1023 control steps later.
-
-    Args:
-        model: Model by which vehicles plan.
-        chief: Chief about which they move.
-        plant: Motion that is flown.
-        step: Control step [s].
+    at the beginning, and 1, 3, 7 … 1023 control steps [s] later.
     """
     if isinstance(model, NonlinearModel):
         return False
@@ -205,11 +195,7 @@ def flies_model(
 
 
 def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> None:
-    """Refuse a model, a chief and a plant that do not belong together.
-
-    Raises:
-        InputError: They do not.
-    """
+    """Refuse a model, a chief and a plant that do not belong together."""
     if isinstance(model, OrbitalModel):
         check_orbital_model(model.kind, chief is not None or model.mean_motion is not None)
     if chief is not None and isinstance(model, PointMass):
@@ -300,9 +286,9 @@ class Motion:
         plant, chief = self.plant, self.chief
         if isinstance(plant, Plant) or plant.ballistic is None or chief is None:
             return plant
-        each = plant.ballistic * (1 + plant.ballistic_spread * rng.uniform(-1, 1, agents))
-        own = plant.ballistic if plant.chief_ballistic is None else plant.chief_ballistic
-        return InertialPlant(chief.orbit, each, own, plant.atmosphere(chief))
+        drawn = plant.ballistic * (1 + plant.ballistic_spread * rng.uniform(-1, 1, agents))
+        of_chief = plant.ballistic if plant.chief_ballistic is None else plant.chief_ballistic
+        return InertialPlant(chief.orbit, drawn, of_chief, plant.atmosphere(chief))
 
     @cached_property
     def flown_plant(self) -> Plant:

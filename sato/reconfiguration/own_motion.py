@@ -34,11 +34,7 @@ def is_own_model(model: Any) -> bool:
 
 
 def check_axes(model: Any) -> None:
-    """Refuse a model that is neither of the plane nor of space.
-
-    Raises:
-        InputError: It is.
-    """
+    """Refuse a model that is neither of the plane nor of space."""
     axes = getattr(model, "axes", None)
     if isinstance(model, Model) and (isinstance(axes, bool) or axes not in (2, 3)):
         raise InputError("", f"{type(model).__name__}.axes must be 2 or 3, got {axes!r}")
@@ -47,14 +43,7 @@ def check_axes(model: Any) -> None:
 def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
     """Refuse equations of motion of the user's own that cannot be planned or flown.
 
-    Args:
-        model: Model of the mission.
-        plant: Plant of the mission.
-        step: Control step [s].
-        steps: Control steps of all legs, as far as they are known.
-
-    Raises:
-        InputError: They cannot be; the message has the name of the method.
+    The error has the name of the method. The steps [s] are those of all legs, as far as known.
     """
     inner = plant.model if isinstance(plant, LinearPlant | NonlinearPlant) else None
     if isinstance(plant, Plant):
@@ -98,11 +87,7 @@ def _check_model(model: Any, step: float, times: Any) -> None:
 
 
 def check_authority(name: str, model: DiscreteModel) -> None:
-    """Refuse a model whose controls do not reach every state.
-
-    Raises:
-        InputError: They do not.
-    """
+    """Refuse a model whose controls do not reach every state."""
     n, time = model.A.shape[-1], len(model) * model.dt
     moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
     sizes = np.linalg.svd(moved, compute_uv=False)
@@ -113,12 +98,7 @@ def check_authority(name: str, model: DiscreteModel) -> None:
 
 
 def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
-    """Try a model and a plant of the user's own on the first states.
-
-    Raises:
-        InputError: The Jacobian is not that of the rate.
-        CallbackError: One of them fails, or the plant does not repeat itself.
-    """
+    """Refuse a wrong Jacobian, and a plant that does not repeat itself, of the user's own."""
     if isinstance(model, NonlinearModel) and is_own(type(model)):
         _check_jacobian(model, x[:MAX_TRIED], step)
     if not (isinstance(plant, Plant) and is_own(type(plant))):
@@ -134,11 +114,11 @@ def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
 
 def _check_jacobian(model: NonlinearModel, x: Any, step: float) -> None:
     """Compare a Jacobian with central differences, block by block of position and velocity."""
-    rng, count, d, name = np.random.default_rng(0), len(x), model.axes, type(model).__name__
+    count, d, name = len(x), model.axes, type(model).__name__
     # Not at rest, where friction, say, has no effect.
-    points = np.hstack([x, np.zeros((count, d))]) + rng.normal(0, [0.0] * d + [0.1] * 2 * d)
-    times = step * np.arange(count)
-    sizes = np.maximum(np.abs(points), 1.0)
+    motion = np.random.default_rng(0).normal(0, [0.0] * d + [0.1] * 2 * d)
+    points = np.hstack([x, np.zeros((count, d))]) + motion
+    times, sizes = step * np.arange(count), np.maximum(np.abs(points), 1.0)
 
     def differentiate(h: float) -> Any:
         moves = h * sizes[..., None] * np.eye(3 * d)
