@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from dynamics.inputs import InputError, as_array
+from dynamics.inputs import InputError, check_finite, read_array
 from dynamics.symbols import Symbol, is_symbolic
 
 LIBRARY = ("dynamics", "problems", "sato")
@@ -116,20 +116,16 @@ def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> A
 
     Where it can be stretched, leading axes may be missing, along which it is then the same.
     """
-    is_plain = type(value) is Array and value.dtype == float and value.shape == shape
-    if is_plain and np.isfinite(value).all():
-        return np.array(value, order="C")
     would_do = f"an array of shape {shape} would do"
     if value is None:
         raise InputError("", f"must not be None: a return is missing; {would_do}")
     value = value.full() if type(value).__name__ == "DM" else value  # numbers of CasADi
     try:
-        lacking = max(len(shape) - np.ndim(value), 0) if can_stretch else 0
-        array = as_array(value, len(shape) - lacking) if 0 not in shape else np.zeros(shape)
+        array = read_array(value).astype(float)
+        check_finite(array)
     except InputError as error:
         raise InputError("", f"{error}; {would_do}") from error
-    except Exception as error:  # whatever an object raises that cannot become an array
-        raise InputError("", f"must be an array, got {type(value).__name__}; {would_do}") from error
+    lacking = max(len(shape) - array.ndim, 0) if can_stretch else 0
     if array.shape != shape[lacking:]:
         raise InputError("", f"must be an array of shape {shape}, got {array.shape}")
     return np.array(np.broadcast_to(array, shape))

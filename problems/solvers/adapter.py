@@ -17,7 +17,7 @@ from dynamics.callbacks import call, is_own
 from dynamics.doors import checked
 from dynamics.inputs import InputError
 from problems.conic import ConeType, ConicProgram, SolverResult, Status
-from problems.solvers.own import OwnSession
+from problems.solvers.own import open_own_session
 
 Vector = Float[Array, " m"]
 LP: frozenset[ConeType] = frozenset({"linear"})
@@ -66,7 +66,8 @@ class SolverAdapter:
     def __post_init__(self) -> None:
         """Fill in the names that were left out, and check the answers of own sessions."""
         if is_own(self.session_factory):
-            object.__setattr__(self, "session_factory", partial(OwnSession, self.session_factory))
+            factory = partial(open_own_session, self.session_factory)
+            object.__setattr__(self, "session_factory", factory)
         object.__setattr__(self, "module", self.module or self.name)
         object.__setattr__(self, "pip_packages", self.pip_packages or self.module)
 

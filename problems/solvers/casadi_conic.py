@@ -16,38 +16,33 @@ from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import LP, SolverAdapter, Vector, lower_bounds, make_result
 
 MAX_ITERATIONS = 100_000
-IPQP_MESSAGES = ("print_header", "print_info", "print_iter")
-# Its own factorization stops at zeros on the diagonal, with NaN.
-IPQP_OPTIONS = {"linear_solver": "qr", **dict.fromkeys(IPQP_MESSAGES, False)}
-QPOASES_OPTIONS = {"sparse": True, "printLevel": "none"}
 LINEAR = ("cbc", "superscs")  # superscs takes no singular P
 PLUGINS = ("cbc", "daqp", "ipqp", "osqp", "piqp", "qpoases", "superscs")
 
 
 def _options(plugin: str, tolerance: float, is_linear: bool) -> dict[str, Any]:
     eps = {"eps_abs": tolerance, "eps_rel": tolerance}
+    # The own factorization of ipqp stops at zeros on the diagonal, with NaN.
+    ipqp = {"linear_solver": "qr", "print_header": False, "print_info": False, "print_iter": False}
+    hessian = "zero" if is_linear else "semidef"
+    qpoases = {"hessian_type": hessian, "sparse": True, "printLevel": "none"}
     options: dict[str, dict[str, Any]] = {
         "cbc": {"cbc": {"logLevel": 0}},
         # Without a proximal term it does not start where the cost is linear.
         "daqp": {"daqp": {"eps_prox": 1e-3, "iter_limit": MAX_ITERATIONS}},
-        "ipqp": {"constr_viol_tol": tolerance, "dual_inf_tol": tolerance, **IPQP_OPTIONS},
+        "ipqp": {"constr_viol_tol": tolerance, "dual_inf_tol": tolerance, **ipqp},
         "osqp": {"osqp": eps | {"max_iter": MAX_ITERATIONS, "polish": True, "verbose": False}},
         "piqp": {"piqp": eps},
-        "qpoases": {
-            "terminationTolerance": tolerance,
-            "hessian_type": "zero" if is_linear else "semidef",
-            **QPOASES_OPTIONS,
-        },
+        "qpoases": {"terminationTolerance": tolerance, **qpoases},
         "superscs": {"superscs": {"eps": tolerance, "max_iters": MAX_ITERATIONS, "verbose": 0}},
     }
     return options[plugin]
 
 
-class CasadiConicSession:
+class _CasadiConicSession:
     """CasADi function that is built once."""
 
     def __init__(self, plugin: str, problem: ConicProgram, tolerance: float) -> None:
-        """Build the function."""
         self._zero, A, H = problem.zero, casadi.DM(problem.A), casadi.DM(problem.hessian)
         self._data = {"g": casadi.DM(problem.q), "a": A, "h": H}
         shape = {"h": H.sparsity(), "a": A.sparsity()}
@@ -56,7 +51,6 @@ class CasadiConicSession:
         self._solver: Any = casadi.conic("solver", plugin, shape, options)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         found = self._solver(**self._data, lba=lower_bounds(b, self._zero), uba=b)
         stats = self._solver.stats()
         message = str(stats.get("return_status", stats["unified_return_status"]))
@@ -73,7 +67,7 @@ ADAPTERS = tuple(
         f"casadi-{plugin}",
         LP,
         False,
-        partial(CasadiConicSession, plugin),
+        partial(_CasadiConicSession, plugin),
         "casadi",
         takes_quadratic_cost=plugin not in LINEAR,
     )

@@ -21,7 +21,7 @@ STATUSES: dict[str, Status] = {
 }
 
 
-class CasadiNlpSession:
+class _CasadiNlpSession:
     """CasADi function, built once, with b as its parameter.
 
     A cone (t, y) becomes t ≥ √(‖y‖² + ε²), which is smooth at the tip, lies inside the cone and
@@ -30,7 +30,6 @@ class CasadiNlpSession:
     """
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Build the function."""
         x, b = casadi.MX.sym("x", len(problem.q)), casadi.MX.sym("b", len(problem.b))
         s = b - casadi.DM(problem.A) @ x
         constraints = [s[: problem.linear]]
@@ -59,4 +58,4 @@ class CasadiNlpSession:
         return make_result(STATUSES.get(message, "stopped"), message, stats["iter_count"], x, y)
 
 
-ADAPTERS = (SolverAdapter("casadi-ipopt", SOCP, False, CasadiNlpSession, "casadi"),)
+ADAPTERS = (SolverAdapter("casadi-ipopt", SOCP, False, _CasadiNlpSession, "casadi"),)

@@ -22,7 +22,7 @@ STATUSES: dict[str, Status] = {
 }
 
 
-class CvxpySession:
+class _CvxpySession:
     """CVXPY problem that is compiled at its first solve; b is its parameter."""
 
     def __init__(
@@ -33,7 +33,6 @@ class CvxpySession:
         problem: ConicProgram,
         tolerance: float,
     ) -> None:
-        """Write the program in CVXPY."""
         import cvxpy as cp
 
         self._options = dict.fromkeys(tolerances, tolerance / 10) | fixed
@@ -46,7 +45,6 @@ class CvxpySession:
         self._problem = cp.Problem(cp.Minimize(cost), self._constraints)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._b.value = b
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # its warnings repeat its status
@@ -96,7 +94,7 @@ def _adapter(
     tolerances: tuple[str, ...],
     **fixed: Any,
 ) -> SolverAdapter:
-    factory, module = partial(CvxpySession, name, tolerances, fixed), MODULES.get(name, name)
+    factory, module = partial(_CvxpySession, name, tolerances, fixed), MODULES.get(name, name)
     return SolverAdapter(
         f"cvxpy-{name}",
         cones,

@@ -1,11 +1,11 @@
-"""Sessions of a user's own solver: they get copies, and their results are checked."""
+"""Solvers of the user's own: they get copies, and their results are checked."""
 
 from copy import deepcopy
-from typing import Any, get_args
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, cast, get_args
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from dynamics.callbacks import CallbackError, as_kind, as_shape, call, is_own, name_of
 from dynamics.inputs import InputError
@@ -21,31 +21,27 @@ from problems.conic import (
 RESULT = 'SolverResult("solved", message, x, y, iterations)'
 
 
-class OwnSession:
-    """Session of a user's own solver, with a program that nobody else has.
+def open_own_session(factory: Any, program: ConicProgram, tolerance: float) -> Any:
+    """Open a session of a user's own solver, with a program that nobody else has.
 
     Raises:
-        CallbackError: It raised an exception, or returned what is no result of this program.
+        CallbackError: It raised an exception; `solve` of the session raises one as well, and
+            where the result is none of this program.
     """
+    session = call(name_of(factory), factory, deepcopy(program), tolerance)
+    solve = call(name_of(factory), getattr, session, "solve")
+    name, check = f"{type(session).__name__}.solve", partial(_as_result, program.A.shape[::-1])
+    return SimpleNamespace(solve=partial(call, name, solve, check=check))
 
-    def __init__(self, factory: Any, program: ConicProgram, tolerance: float) -> None:
-        session = call(name_of(factory), factory, deepcopy(program), tolerance)
-        self._name, self._sizes = f"{type(session).__name__}.solve", program.A.shape[::-1]
-        self._solve = call(name_of(factory), getattr, session, "solve")
 
-    def solve(self, b: Float[Array, " m"]) -> SolverResult:
-        """Solve with another right-hand side."""
-        result: SolverResult = call(self._name, self._solve, b, check=self._check)
-        return result
-
-    def _check(self, result: Any) -> SolverResult:
-        status, message, *points, iterations = as_kind(result, SolverResult, RESULT)
-        if status not in get_args(Status):
-            raise InputError("", f"must be {RESULT}, or begin with one of {get_args(Status)}")
-        sized = zip(points, self._sizes, strict=True)
-        x, y = (None if part is None else as_shape(part, (size,)) for part, size in sized)
-        as_kind(iterations, int | float | np.number | None, f"{RESULT}, of a whole number")
-        return SolverResult(status, str(message), x, y, iterations and int(iterations))
+def _as_result(sizes: tuple[int, ...], result: Any) -> SolverResult:
+    status, message, *points, iterations = as_kind(result, SolverResult, RESULT)
+    if status not in get_args(Status):
+        raise InputError("", f"must be {RESULT}, or begin with one of {get_args(Status)}")
+    sized = zip(points, sizes, strict=True)
+    x, y = (None if part is None else as_shape(part, (size,)) for part, size in sized)
+    as_kind(iterations, int | float | np.number | None, f"{RESULT}, of a whole number")
+    return SolverResult(status, str(message), x, y, iterations and int(iterations))
 
 
 def ask(solver: Any, program: ConicProgram) -> ConicSolution:
@@ -61,12 +57,10 @@ def ask(solver: Any, program: ConicProgram) -> ConicSolution:
         x, y = as_shape(answer.x, program.q.shape), as_shape(answer.y, program.b.shape)
         return ConicSolution.evaluate(program, x, y)
 
-    solution: ConicSolution
     if not is_own(solver):
-        solution = solver(program)
-        return solution
+        return cast(ConicSolution, solver(program))
     name, passes = name_of(solver), (CallbackError, Unsolved)
-    solution = call(name, solver, deepcopy(program), passes=passes, check=check)
+    solution: ConicSolution = call(name, solver, deepcopy(program), passes=passes, check=check)
     worst = solution.max_residual
     if not worst <= TOLERANCE:
         reason = f"residuals or the gap are {worst:.1e}, above {TOLERANCE:.0e}"
