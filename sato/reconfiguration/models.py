@@ -182,7 +182,7 @@ def flies_model(
     """Tell whether the vehicles do exactly what the shared model says.
 
     A plant of a linear model does so if its steps are those of the shared model, up to rounding:
-    at the beginning, and 1, 3, 7 … 1023 control steps [s] later.
+    at the beginning, and 1, 3, 7 … 1023 control steps of `step` [s] later.
     """
     if isinstance(model, NonlinearModel):
         return False

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods
-from problems.limit import Bound, Limit, Norm
+from problems.limit import Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
 from sato.scenario.definition import Count
@@ -113,14 +113,12 @@ class Vehicles(Motion):
     @cached_property
     def control_limits(self) -> tuple[Limit, ...]:
         """Limit of each vehicle's acceleration [m/s²]; a single one where all are equal."""
-        bounds = _bounds(self.max_control, self.max_control_axes)
-        return tuple(Limit(bound, self.control_norm, self.axes) for bound in bounds)
+        return _limits(self.max_control, self.max_control_axes, self.control_norm, self.axes)
 
     @cached_property
     def speed_limits(self) -> tuple[Limit, ...]:
         """Limit of each vehicle's velocity [m/s]; a single one where all are equal."""
-        bounds = _bounds(self.max_speed, self.max_speed_axes)
-        return tuple(Limit(bound, self.speed_norm, self.axes) for bound in bounds)
+        return _limits(self.max_speed, self.max_speed_axes, self.speed_norm, self.axes)
 
     def control_limit(self, agent: Count) -> Limit:
         """Return the limit of an agent's acceleration [m/s²]."""
@@ -251,8 +249,9 @@ def check_automatic_steps(mission: Any) -> None:
             raise InputError(f"leg.{number}.steps", f'"auto" {reason}; a number would do')
 
 
-def _bounds(limits: PerVehicle | None, axes: tuple[float, ...] | None) -> list[Bound]:
-    if axes is not None:
-        return [np.array(axes)]
-    assert limits is not None
-    return list(limits) if isinstance(limits, tuple) else [limits]
+def _limits(
+    limits: PerVehicle | None, limits_of_axes: tuple[float, ...] | None, norm: Norm, axes: int
+) -> tuple[Limit, ...]:
+    bounds: Any = limits if isinstance(limits, tuple) else (limits,)
+    bounds = bounds if limits_of_axes is None else (np.array(limits_of_axes),)
+    return tuple(Limit(bound, norm, axes) for bound in bounds)
