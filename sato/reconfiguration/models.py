@@ -24,7 +24,7 @@ from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.own_motion import check_axes
-from sato.scenario.definition import Amount, Definition, NotNegative, Positive
+from sato.scenario.definition import Amount, Definition, NotNegative, Positive, fields_of
 from sato.scenario.errors import InputError, join_names
 
 MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
@@ -84,16 +84,12 @@ class PlantSettings(Definition):
 
     def check(self) -> None:
         """Refuse half a drag."""
-        air = {key: getattr(self, name) for key, name in AIR.items()}
         if not self.drag:
-            unused = {
-                "ballistic_m2_kg": self.ballistic,
-                "ballistic_spread": self.ballistic_spread or None,
-                "chief_ballistic_m2_kg": self.chief_ballistic,
-            }
-            for key, value in (unused | air).items():
-                if value is not None:
-                    raise InputError(key, "has no effect without drag; drag = true would use it")
+            for field in fields_of(type(self)):
+                is_given = getattr(self, field.name) != field.default
+                if is_given and field.name not in ("kind", "drag"):
+                    reason = "has no effect without drag; drag = true would use it"
+                    raise InputError(field.key, reason)
             return
         if self.ballistic is None:
             example = "ballistic_m2_kg = 0.01 (say 2.2 × 0.5 m² / 110 kg)"
@@ -101,7 +97,7 @@ class PlantSettings(Definition):
             raise InputError("ballistic_m2_kg", f"is missing, and {needed}")
         if self.kind == "model":
             raise InputError("drag", 'this model has no drag; kind = "inertial" would do')
-        missing = [key for key, value in air.items() if value is None]
+        missing = [key for key, name in AIR.items() if getattr(self, name) is None]
         if 0 < len(missing) < len(AIR):
             names = join_names(AIR, "and")
             raise InputError(missing[0], f"is missing; {names} are given together, or none of them")
