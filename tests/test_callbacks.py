@@ -164,6 +164,18 @@ def test_a_jacobian_that_is_not_that_of_the_rate_is_refused(i, j):
         sato.run(mission(model=type("Wrong", (Friction,), {"wrong": wrong})()))
 
 
+def test_a_method_of_the_library_that_a_callback_extends_is_not_checked_twice(monkeypatch):
+    class Same(dynamics.J2):
+        def rate(self, t, x, u):
+            return super().rate(t, x, u)
+
+    orbit, checks = dynamics.Orbit.from_elements(7e6), []
+    models, state = (dynamics.J2(orbit), Same(orbit)), np.array([[10.0, 0, 0, 0, 0, 0]])
+    monkeypatch.setattr("dynamics.doors._check_call", lambda *given: checks.append(given))
+    rates = [model.rate(0.0, state, np.zeros((1, 3))) for model in models]
+    assert np.array_equal(*rates) and len(checks) == 1
+
+
 @pytest.mark.parametrize("kind", ["class", "attribute", "later"])
 @pytest.mark.parametrize(
     ("value", "reason"),
