@@ -141,11 +141,6 @@ class Vehicles(Motion):
         return min(float(limit.most * limit.shares.min()) for limit in self.control_limits)
 
     @property
-    def has_single_speed(self) -> bool:
-        """True where one number limits the speed of all, in the Euclidean norm."""
-        return not isinstance(self.max_speed, tuple) and self.speed_norm == 2
-
-    @property
     def top_speeds(self) -> Float[Array, " vehicles"]:
         """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
         return np.array([limit.largest_length for limit in self.speed_limits])
