@@ -164,7 +164,7 @@ def test_a_jacobian_that_is_not_that_of_the_rate_is_refused(i, j):
         sato.run(mission(model=type("Wrong", (Friction,), {"wrong": wrong})()))
 
 
-def test_a_method_of_the_library_that_a_callback_extends_is_not_checked_twice(monkeypatch):
+def test_a_method_of_the_library_that_is_extended_is_checked_once(monkeypatch):
     class Same(dynamics.J2):
         def rate(self, t, x, u):
             return super().rate(t, x, u)
