@@ -25,6 +25,7 @@ from problems.conic import (
     SolverResult,
     Status,
     Unsolved,
+    verify,
 )
 
 Vector = Float[Array, " m"]
@@ -199,18 +200,17 @@ def ask(solver: Any, program: ConicProgram) -> ConicSolution:
         Unsolved: There is no answer, or it fails verification.
         CallbackError: A function of the user's own raised, or returned no answer.
     """
-
-    def check(answer: Any) -> ConicSolution:
-        as_kind(answer, ConicSolution | SolverResult, "a ConicSolution")
-        x, y = as_shape(answer.x, program.q.shape), as_shape(answer.y, program.b.shape)
-        return ConicSolution.evaluate(program, x, y)
-
     if not is_own(solver):
         return cast(ConicSolution, solver(program))
     name, passes = name_of(solver), (CallbackError, Unsolved)
-    solution: ConicSolution = call(name, solver, deepcopy(program), passes=passes, check=check)
-    worst = solution.max_residual
-    if not worst <= TOLERANCE:
-        reason = f"residuals or the gap are {worst:.1e}, above {TOLERANCE:.0e}"
-        raise Unsolved(program, f"{name}: {reason}")
+
+    def check(answer: Any) -> SolverResult:
+        as_kind(answer, ConicSolution | SolverResult, "a ConicSolution")
+        x, y = as_shape(answer.x, program.q.shape), as_shape(answer.y, program.b.shape)
+        return SolverResult("solved", name, x, y)
+
+    result = call(name, solver, deepcopy(program), passes=passes, check=check)
+    kind, solution, reason, _ = verify(program, result, TOLERANCE)
+    if solution is None or kind != "solved":
+        raise Unsolved(program, reason)
     return solution
