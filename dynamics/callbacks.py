@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from dynamics.inputs import InputError, as_array
+from dynamics.inputs import InputError, check_finite, read_array
 from dynamics.symbols import Symbol, is_symbolic
 
 LIBRARY = ("dynamics", "problems", "sato")
@@ -30,6 +30,7 @@ _FOREIGN = (
     "<__array",
 )
 MAX_LENGTH = 300  # of the text of an exception
+METHODS: Any = Callable, classmethod, partialmethod
 
 is_strict: ContextVar[bool] = ContextVar("is_strict", default=False)  # as of `strictly`
 
@@ -47,6 +48,11 @@ class Callback(NamedTuple):
     parameters: str  # their names
     check: Callable[[Any, dict[str, Any], Any], Any]  # object, arguments, result ↦ it, converted
     passes: type[InputError] = CallbackError  # what it may raise
+
+
+def name_of(function: Any) -> str:
+    """Return the name of a function, or of the class of another object."""
+    return str(getattr(function, "__qualname__", type(function).__name__))
 
 
 def is_own(part: Any) -> bool:
@@ -85,12 +91,11 @@ def call(
     A `check` converts the result, or raises an `InputError` that begins with "must". Exceptions
     that pass are raised as they are; of all others, and of a wrong result, a `CallbackError` tells.
     """
+    passes = *passes, MemoryError
     try:
-        options = {key: _protect(value) for key, value in options.items()}
-        result = function(*map(_protect, arguments), **options)
+        options = {key: protect(value) for key, value in options.items()}
+        result = function(*map(protect, arguments), **options)
     except passes:
-        raise
-    except MemoryError:
         raise
     except Exception as error:
         where = f" ({place})" if (place := _find_place(error, function)) else ""
@@ -116,12 +121,11 @@ def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> A
         raise InputError("", f"must not be None: a return is missing; {would_do}")
     value = value.full() if type(value).__name__ == "DM" else value  # numbers of CasADi
     try:
-        lacking = max(len(shape) - np.ndim(value), 0) if can_stretch else 0
-        array = as_array(value, len(shape) - lacking) if 0 not in shape else np.zeros(shape)
+        array = read_array(value).astype(float)
+        check_finite(array)
     except InputError as error:
         raise InputError("", f"{error}; {would_do}") from error
-    except Exception as error:  # whatever an object raises that cannot become an array
-        raise InputError("", f"must be an array, got {type(value).__name__}; {would_do}") from error
+    lacking = max(len(shape) - array.ndim, 0) if can_stretch else 0
     if array.shape != shape[lacking:]:
         raise InputError("", f"must be an array of shape {shape}, got {array.shape}")
     return np.array(np.broadcast_to(array, shape))
@@ -137,65 +141,45 @@ def as_kind(value: Any, kind: Any, would_do: str) -> Any:
 def guard(cls: type, callbacks: dict[str, Callback]) -> None:
     """Let methods of a new class that are the user's own be called and checked as callbacks."""
     for name, callback in callbacks.items():
-        owner = next((each for each in cls.__mro__ if name in vars(each)), type)
-        method = vars(owner).get(name)
-        if is_own(owner) and owner is not type and not getattr(method, "is_guarded", False):
-            kinds = Callable, classmethod, partialmethod
-            as_kind(method, kinds, f"a method {name} of {cls.__name__}")
+        owner = next((base for base in cls.__mro__ if name in vars(base)), None)
+        if owner is not None and is_own(owner):
+            method = vars(owner)[name]
+            as_kind(method, METHODS, f"a method {name} of {cls.__name__}")
             setattr(cls, name, _guard_method(name, method, callback))
 
 
 def guard_attributes(part: Any, callbacks: dict[str, Callback]) -> None:
     """Guard what replaced methods of an object later: in its class, or as attributes of its own."""
     guard(type(part), callbacks)
-    own = getattr(part, "__dict__", {})
-    for name in callbacks.keys() & own.keys():
-        if not getattr(own[name], "is_guarded", False):
-            own[name] = _guard_attribute(part, name, own[name], callbacks[name])
-
-
-def _guard_attribute(part: Any, name: str, function: Any, callback: Callback) -> Any:
-    as_kind(function, Callable, f"a function {name} of {type(part).__name__}")
-
-    def guarded(*arguments: Any, **options: Any) -> Any:
-        return _call_guarded(part, name, function, callback, arguments, options)
-
-    guarded.is_guarded = True  # type: ignore[attr-defined]
-    return guarded
+    attributes, kind = getattr(part, "__dict__", {}), type(part).__name__
+    for name in callbacks.keys() & attributes.keys():
+        function = as_kind(attributes[name], Callable, f"a function {name} of {kind}")
+        if not getattr(function, "is_guarded", False):
+            guarded = _guard_method(name, staticmethod(function), callbacks[name])
+            attributes[name] = guarded.__get__(part)
 
 
 def _guard_method(name: str, method: Any, callback: Callback) -> Any:
+    if getattr(method, "is_guarded", False):
+        return method
+
     @wraps(method)
     def guarded(self: Any, *arguments: Any, **options: Any) -> Any:
         # Objects with `__call__` and partial functions are not bound.
         bound = method.__get__(self, type(self)) if hasattr(method, "__get__") else method
-        if getattr(type(self), name) is not guarded:  # of `super()`, checked by what calls it
+        given = dict(zip(callback.parameters.split(), arguments, strict=False)) | options
+        # A call of `super()` is checked by what calls it.
+        is_inner = getattr(getattr(self, name), "__func__", None) is not guarded
+        if is_inner or any(map(_has_symbols, given.values())):
             return bound(*arguments, **options)
-        return _call_guarded(self, name, bound, callback, arguments, options)
+        time = given.get("t")
+        when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
+        full_name, passes = f"{type(self).__name__}.{name}{when}", (callback.passes,)
+        check = partial(callback.check, self, given)
+        return call(full_name, bound, *arguments, passes=passes, check=check, **options)
 
     guarded.is_guarded = True  # type: ignore[attr-defined]
     return guarded
-
-
-def _call_guarded(
-    part: Any,
-    name: str,
-    bound: Any,
-    callback: Callback,
-    arguments: tuple[Any, ...],
-    options: dict[str, Any],
-) -> Any:
-    given = dict(zip(callback.parameters.split(), arguments, strict=False)) | options
-    if any(map(_has_symbols, given.values())):
-        return bound(*arguments, **options)
-    time = given.get("t")
-    when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
-    full, passes = f"{type(part).__name__}.{name}{when}", (callback.passes,)
-
-    def check(result: Any) -> Any:
-        return callback.check(part, given, result)
-
-    return call(full, bound, *arguments, passes=passes, check=check, **options)
 
 
 def _find_place(error: BaseException, function: Any) -> str:
@@ -218,12 +202,10 @@ def freeze(value: Any) -> Any:
     return value
 
 
-def _protect(value: Any) -> Any:
-    if not isinstance(value, Array) or value.dtype == object:
-        return value
-    copy = value.copy()
-    copy.flags.writeable = False
-    return copy
+def protect(value: Any) -> Any:
+    """Return a copy of an array that cannot be written to; other values as they are."""
+    is_numeric = isinstance(value, Array) and value.dtype != object
+    return freeze(value.copy()) if is_numeric else value
 
 
 def _has_symbols(value: Any) -> bool:

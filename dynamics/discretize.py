@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import inf, isfinite
+from math import isfinite
 from typing import Annotated, Any
 
 import numpy as np
@@ -30,7 +30,6 @@ SAME_MODEL = 1e-12  # relative difference of matrices that are the same but for 
 MAX_STEPS = 10**6  # of which the matrices fit in memory
 SAME_STEP = 1e-10  # relative difference of matrices that are the same but for rounding
 
-AgentStates = Annotated[Float[Array, "*agents n"], MAY_BE_NAN]  # of absent agents
 Duration = Annotated[float, Gt(0)]
 Count = Annotated[int, Ge(0), Le(MAX_STEPS)]
 
@@ -106,22 +105,21 @@ class DiscreteModel:
         return R
 
     def simulate(
-        self, x: AgentStates, u: Annotated[Float[Array, "*#agents T m"], MAY_BE_NAN]
+        self,
+        x: Annotated[Float[Array, "*#agents n"], MAY_BE_NAN],
+        u: Annotated[Float[Array, "*#agents T m"], MAY_BE_NAN],
     ) -> StateSamples:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         if u.shape[-2] > len(self):
             raise InputError("u", f"must have {len(self)} steps at most, got {u.shape[-2]}")
         A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
-        if A.ndim == 3:
-            states = [x]
-            for k, now in enumerate(np.moveaxis(u, -2, 0)):
-                states.append(states[-1] @ A[k].T + now @ B[k].T + z[k])
-            return np.stack(states, axis=-2)
-        u = np.moveaxis(np.broadcast_to(u, (*A.shape[1:-2], *u.shape[-2:])), -2, 0)
-        push = _matvec(B[: len(u)], u) + z[: len(u)]
-        states = [np.broadcast_to(x, z.shape[1:])]
-        for k, change in enumerate(push):
-            states.append(_matvec(A[k], states[-1]) + change)
+        lead = np.broadcast_shapes(A.shape[1:-2], x.shape[:-1], u.shape[:-2])
+        states = [np.broadcast_to(x, (*lead, x.shape[-1]))]
+        for k, held in enumerate(np.moveaxis(u, -2, 0)):
+            if A.ndim == 3:
+                states.append(states[-1] @ A[k].T + held @ B[k].T + z[k])
+            else:
+                states.append(_matvec(A[k], states[-1]) + (_matvec(B[k], held) + z[k]))
         return np.stack(states, axis=-2)
 
     def coast_to_end(
@@ -138,10 +136,10 @@ def discretize_zoh(
     """Discretize with a zero-order hold: the control is constant over each step.
 
     Exact for a time-invariant model [Morgan2016, eq. 11]. The equations of other models
-    are integrated over each step, to eleven digits, and not frozen as in eq. 11. That
-    takes time: for a model that is a frozen, hashable dataclass, steps are kept and reused. Those
-    that begin at a multiple of their length are computed in blocks, which begin up to 15 steps
-    before the first and end up to 15 after the last.
+    are integrated over each step, to eleven digits, and not frozen as in eq. 11. That takes
+    time: for a model that is a frozen, hashable dataclass, steps that begin at a multiple of their
+    length are kept and reused. They are computed in blocks, which begin up to 15 steps before the
+    first and end up to 15 after the last.
 
     Args:
         model: The model, of any class derived from `LinearModel`.
@@ -152,13 +150,11 @@ def discretize_zoh(
     Raises:
         ValueError: The step is not positive and finite, or the count is negative.
     """
-    _validate_steps(dt, count)
     if model.is_time_invariant:
         return _discretize_time_invariant(model, dt, count)
-    if not _is_immutable(model):
+    is_on_grid = isfinite(t0 / dt) and abs(t0 / dt - round(t0 / dt)) <= ON_GRID
+    if not (count and is_on_grid and _is_immutable(model)):
         return _discretize_time_varying(model, dt, count, t0)
-    if not count or not isfinite(t0 / dt) or abs(t0 / dt - round(t0 / dt)) > ON_GRID:
-        return _discretize_cached(model, dt, count, t0)
     first = round(t0 / dt)
     numbers = range(first // BLOCK_STEPS, (first + count - 1) // BLOCK_STEPS + 1)
     blocks = [_discretize_block(model, dt, number) for number in numbers]
@@ -192,12 +188,11 @@ def linearize_along(
         ValueError: The step is not positive and finite.
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
-    _validate_steps(dt, T)
-    few = max(1, LINEARIZATION_BATCH // max(1, T))
-    if u.ndim > 2 and len(u) > few:
-        parts = [slice(a, a + few) for a in range(0, len(u), few)]
-        each = [linearize_along(model, x[part], u[part], dt, t0) for part in parts]
-        A, B, z = (np.concatenate([getattr(own, name) for own in each]) for name in "ABz")
+    size = max(1, LINEARIZATION_BATCH // max(1, T))
+    if u.ndim > 2 and len(u) > size:
+        parts = [slice(a, a + size) for a in range(0, len(u), size)]
+        steps = [linearize_along(model, x[part], u[part], dt, t0) for part in parts]
+        A, B, z = (np.concatenate([getattr(few, name) for few in steps]) for name in "ABz")
         return DiscreteModel(A, B, z, dt)
     x0, times = x[..., :T, :], t0 + dt * np.arange(T)
     lead = x0.shape[:-1]
@@ -221,13 +216,9 @@ def linearize_along(
 def have_equal_steps(
     one: LinearModel, other: LinearModel, dt: float, times: Sequence[float]
 ) -> bool:
-    """Tell whether two models are the same over a step from each of some times, up to rounding.
+    """Tell whether two models are the same over a step [s] from each of some times [s].
 
-    Args:
-        one: A model.
-        other: Another one.
-        dt: Length of a step [s].
-        times: Starts of the steps; one step stands for all of two time-invariant models [s].
+    Rounding is no difference. One step stands for all of two time-invariant models.
     """
     if one is other or one.axes != other.axes:
         return one is other
@@ -243,14 +234,6 @@ def have_equal_steps(
             if np.abs(scale * (a - b)).max() > SAME_STEP * np.abs(scale * a).max():
                 return False
     return True
-
-
-def _validate_steps(dt: float, count: int) -> None:
-    if not 0 < dt < inf or count < 0:
-        raise ValueError(
-            "a step must be positive and finite and the number of steps not negative, got "
-            f"dt = {dt} s and {count} steps"
-        )
 
 
 def _discretize_time_invariant(model: LinearModel, dt: float, count: int) -> DiscreteModel:
@@ -284,14 +267,6 @@ def _is_immutable(model: LinearModel) -> bool:
 @lru_cache(maxsize=4096)  # planning asks for the same steps again and again
 def _discretize_block(model: LinearModel, dt: float, number: int) -> DiscreteModel:
     return _discretize_time_varying(model, dt, BLOCK_STEPS, number * BLOCK_STEPS * dt)
-
-
-@lru_cache(maxsize=64)
-def _discretize_cached(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:
-    steps = _discretize_time_varying(model, dt, count, t0)
-    for part in (steps.A, steps.B, steps.z):
-        part.setflags(write=False)
-    return steps
 
 
 def _discretize_time_varying(model: LinearModel, dt: float, count: int, t0: float) -> DiscreteModel:

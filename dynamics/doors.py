@@ -69,7 +69,10 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
     def enter(*args: Any, **kwargs: Any) -> Any:
         frame = sys._getframe(1)
         caller = frame.f_globals.get("__name__") or ""
-        if caller == "dataclasses" and frame.f_back is not None:  # `replace`
+        # `super()` of a user's own method is called by these packages, which check the result.
+        is_super = is_method and frame.f_code.co_name == function.__name__
+        is_passed = caller == "dataclasses" or (is_super and not caller.startswith(INSIDE))
+        if is_passed and frame.f_back is not None:  # by `replace`, or by the user's method
             caller = frame.f_back.f_globals.get("__name__") or ""
         if caller.startswith(INSIDE):
             return function(*args, **kwargs)

@@ -65,8 +65,6 @@ class InertialPlant(Plant):
             Impact: An agent or the chief hits the body.
         """
         validate_propagation(x, u, dt, substeps, axes=3)
-        if dt > MAX_TIME:
-            raise InputError("dt", f"must be at most {MAX_TIME:.0e} s, got {dt} s")
         drag = self._forces.broadcast_ballistic_coefficients(self.ballistic_coefficient, len(x))
         present = np.flatnonzero(is_present(x))
         chief = self._chief_state(t)

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, wraps
+from functools import cached_property, partial, wraps
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -84,20 +84,17 @@ def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
     return take
 
 
-def _as_matrix(model: Model, value: Any, *axes: str) -> Array:
-    return as_shape(value, tuple({"n": 2 * model.axes, "m": model.axes}[axis] for axis in axes))
-
-
-def _as_stacks(given: dict[str, Any], values: Any, *shapes: tuple[int, ...]) -> tuple[Array, ...]:
+def _as_stacks(axes: tuple[str, ...], model: Model, given: dict[str, Any], values: Any) -> Any:
     """Convert results at all times, states and controls; several of them may lack these axes."""
     x, u = (given.get(name, np.zeros(1)) for name in "xu")
     times: Any = given.get("times", given.get("t"))
-    lead, count = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1]), len(shapes)
+    lead, count = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1]), len(axes)
     if len(as_kind(values, tuple | list, f"{count} arrays")) != count:
         raise InputError("", f"must be {count} arrays, got {len(values)}")
+    shapes = [lead + tuple(map(model.array_sizes.__getitem__, names)) for names in axes]
     try:
-        each = zip(values, shapes, strict=True)
-        return tuple(as_shape(value, lead + shape, count > 1) for value, shape in each)
+        pairs = zip(values, shapes, strict=True)
+        return tuple(as_shape(value, shape, count > 1) for value, shape in pairs)
     except InputError as error:
         if "x" not in given or np.any(x) or np.any(u):
             raise
@@ -105,18 +102,17 @@ def _as_stacks(given: dict[str, Any], values: Any, *shapes: tuple[int, ...]) -> 
         raise InputError("", f"{error}; {why}") from error
 
 
-def _as_jacobian(model: Model, given: dict[str, Any], value: Any, *more: Any) -> tuple[Array, ...]:
-    n, m = 2 * model.axes, model.axes
-    return _as_stacks(given, value, (n, n), (n, m), *more)
+def _as_stack(axes: str, model: Model, given: dict[str, Any], value: Any) -> Any:
+    return _as_stacks((axes,), model, given, [value])[0]
 
 
 MODEL_CALLBACKS = {
-    "A": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "n")),
-    "B": Callback("t", lambda model, given, value: _as_matrix(model, value, "n", "m")),
-    "z": Callback("t", lambda model, given, value: _as_matrix(model, value, "n")),
-    "matrices": Callback("times", lambda *each: _as_jacobian(*each, (2 * each[0].axes,))),
-    "rate": Callback("t x u", lambda m, given, value: _as_stacks(given, [value], (2 * m.axes,))[0]),
-    "jacobian": Callback("t x u", _as_jacobian),
+    "A": Callback("t", partial(_as_stack, "nn")),
+    "B": Callback("t", partial(_as_stack, "nm")),
+    "z": Callback("t", partial(_as_stack, "n")),
+    "rate": Callback("t x u", partial(_as_stack, "n")),
+    "matrices": Callback("times", partial(_as_stacks, ("nn", "nm", "n"))),
+    "jacobian": Callback("t x u", partial(_as_stacks, ("nn", "nm"))),
 }
 
 
@@ -211,12 +207,12 @@ class SymbolicModel(NonlinearModel):
 
     def rate(self, t: Times, x: States, u: Controls) -> Rates:
         """Return the rate of change of one state or of many."""
-        (found,) = self._map_batch(self.casadi(), t, x, u)
-        return found[..., 0]
+        (change,) = self._map_batch(self.casadi(), ("n",), t, x, u)
+        return change
 
     def jacobian(self, t: Times, x: States, u: Controls) -> Jacobian:
         """Return ∂f/∂x and ∂f/∂u by automatic differentiation."""
-        A, B = self._map_batch(self._functions[1], t, x, u)
+        A, B = self._map_batch(self._functions[1], ("nn", "nm"), t, x, u)
         return A, B
 
     def casadi(self) -> Any:
@@ -232,36 +228,33 @@ class SymbolicModel(NonlinearModel):
         """Return the expression as a column of CasADi; an acceleration alone is none."""
         import casadi
 
-        found, n = call(self._name, self.expression, t, x, u), 2 * self.axes
-        if isinstance(found, list | tuple | Array):
-            found = call(self._name, casadi.vertcat, *found)
-        shape = getattr(found, "shape", None)
-        if not is_symbolic(found) or shape != (n, 1):
-            got = f"{type(found).__name__}" + (f" of shape {shape}" if shape else "")
-            would_do = (
-                "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
-            )
-            raise CallbackError(
-                "",
-                f"{self._name}: the result must be a column of {n} entries, got {got}; {would_do}",
-            )
-        return found
+        change, n = call(self._name, self.expression, t, x, u), 2 * self.axes
+        if isinstance(change, list | tuple | Array):
+            change = call(self._name, casadi.vertcat, *change)
+        shape = getattr(change, "shape", None)
+        if not is_symbolic(change) or shape != (n, 1):
+            got = f"{type(change).__name__}" + (f" of shape {shape}" if shape else "")
+            cure = "velocity, then acceleration: casadi.vertcat(x[d:], …), with d axes, would do"
+            reason = f"the result must be a column of {n} entries, got {got}; {cure}"
+            raise CallbackError("", f"{self._name}: {reason}")
+        return change
 
-    def _map_batch(self, function: Any, t: Times, x: Array, u: Array) -> list[Array]:
+    def _map_batch(
+        self, function: Any, axes: tuple[str, ...], t: Times, x: Array, u: Array
+    ) -> list[Array]:
         # CasADi maps a function over the columns of its arguments, and stacks results sidewise.
         lead = np.broadcast_shapes(np.shape(t), x.shape[:-1], u.shape[:-1])
-        count, columns, found = int(np.prod(lead)), [], []
-        given: dict[str, Any] = {"t": t, "x": x, "u": u}
+        count, columns, results = int(np.prod(lead)), [], []
         for values in (np.asarray(t)[..., None], x, u):
             n = values.shape[-1]
             columns.append(np.broadcast_to(values, (*lead, n)).reshape(count, n).T)
-        for result in function.map(count).call(list(map(to_casadi, columns))):
-            matrix = to_array(result)
+        outputs = function.map(count).call(list(map(to_casadi, columns)))
+        for names, matrix in zip(axes, map(to_array, outputs), strict=True):
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
-            found.append(stacked.reshape(*lead, *stacked.shape[1:]))
-            if matrix.dtype != object and not np.isfinite(matrix).all():
-                call(self._name, _as_stacks, given, found[-1:], stacked.shape[1:])
-        return found
+            results.append(stacked.reshape(*lead, *stacked.shape[1 : 1 + len(names)]))
+        if not all(np.isfinite(part).all() for part in results if part.dtype != object):
+            call(self._name, _as_stacks, axes, self, {"t": t, "x": x, "u": u}, results)
+        return results
 
     @cached_property
     def _functions(self) -> tuple[Any, Any]:

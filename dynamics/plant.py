@@ -1,6 +1,7 @@
 """Plants: the equations of motion that a run propagates."""
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy import ndarray as Array
 from dynamics.callbacks import Callback, as_shape, guard
 from dynamics.discretize import discretize_zoh
 from dynamics.doors import check_methods, checked
-from dynamics.inputs import InputError
+from dynamics.inputs import InputError, read_array
 from dynamics.model import Controls, LinearModel, NonlinearModel, States
 from dynamics.orbit import MAX_TIME, Orbit
 
@@ -62,12 +63,11 @@ class Plant(ABC):
 
 
 def _as_states(plant: Plant, given: dict[str, Any], value: Any) -> Array:
-    x, shape = given["x"], (given.get("substeps", 1) + 1, *given["x"].shape)
-    absent = ~is_present(x)
-    if isinstance(value, list) and all(isinstance(part, Array) for part in value):
-        value = np.array(value) if {part.shape for part in value} == {x.shape} else value
-    if isinstance(value, Array) and value.shape == shape and value.dtype.kind == "f":
-        value = np.where(absent[:, None], 0.0, value)  # rows of absent agents may be anything
+    x, absent = given["x"], ~is_present(given["x"])
+    shape = (given.get("substeps", 1) + 1, *x.shape)
+    with suppress(InputError):
+        if (array := read_array(value)).shape == shape:
+            value = np.where(absent[:, None], 0.0, array)  # rows of absent agents may be anything
     states = as_shape(value, shape)
     for i in np.flatnonzero(~absent):
         if not np.allclose(states[0, i], x[i], ROUNDING, ROUNDING):
@@ -170,11 +170,9 @@ def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int
             f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
         )
     if not 0 < dt <= MAX_TIME or substeps < 1:
-        raise ValueError(
-            f"the duration must be positive and at most {MAX_TIME:.0e} s, with at least one "
-            "substep, got "
-            f"dt = {dt} s and substeps = {substeps}"
-        )
+        wanted = f"positive and at most {MAX_TIME:.0e} s, with at least one substep"
+        got = f"dt = {dt} s and substeps = {substeps}"
+        raise ValueError(f"the duration must be {wanted}, got {got}")
     wrong = np.flatnonzero(is_present(x) & ~np.isfinite(u).all(axis=1))
     if len(wrong):
         raise ValueError(f"agent {wrong[0]} is present, but its acceleration is {u[wrong[0]]}")

@@ -22,7 +22,7 @@ from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces, Rows, empty_half_spaces
 from problems.limit import Limit
-from problems.solvers.own import ask
+from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
 from problems.transfer import (
     Solver,

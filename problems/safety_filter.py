@@ -11,7 +11,7 @@ from scipy.sparse import csc_array
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces
-from problems.solvers.own import ask
+from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 

@@ -18,7 +18,7 @@ from dynamics.doors import checked
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
 from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
-from problems.solvers.own import ask
+from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
 
 Objective = Literal["fuel", "energy"]

@@ -1,8 +1,7 @@
 """Notice of compilation: one line on the error stream as soon as kernels are compiled."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 
 from numba.core import event
 
@@ -23,18 +22,13 @@ class _Notice(event.Listener):  # type: ignore[misc]  # numba has no types
         """Do nothing."""
 
 
-@contextmanager
-def announce_compilation(is_shown: bool = True) -> Iterator[None]:
+def announce_compilation(is_shown: bool = True) -> AbstractContextManager[None]:
     """Print a line when kernels are compiled in a block, which takes seconds; once a process.
 
     Args:
         is_shown: True for the line; else there is none.
     """
-    if not is_shown or _notice.is_given:
-        yield
-        return
-    with event.install_listener("numba:compile", _notice):
-        yield
+    return event.install_listener("numba:compile", _notice) if is_shown else nullcontext()
 
 
 def announce_all() -> None:

@@ -4,13 +4,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
+from functools import partial
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy import ndarray as Array
 from numpy.random import Generator
 
-from dynamics.callbacks import CallbackError, as_kind, call, is_own, is_strict
+from dynamics.callbacks import CallbackError, as_kind, call, is_own, is_strict, name_of, protect
 from dynamics.inputs import InputError
 from sato.interfaces import System
 
@@ -25,47 +26,37 @@ def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]
     """
     simulate = system.simulate
     if not is_own(simulate):
-        yield from map(protect, simulate(mission, rng))
+        yield from map(protect_frame, simulate(mission, rng))
         return
-    name = f"{simulate.__module__}:{getattr(simulate, '__qualname__', 'simulate')}"
     passes: tuple[type[Exception], ...] = (CallbackError, *system.stop_errors)
-    shapes: dict[str, tuple[int, ...]] = {}
-
-    def check(frame: Any) -> Any:
-        return frame if frame is END else _check_frame(system.frame, frame, shapes)
-
-    frames = call(name, lambda: iter(simulate(mission, rng)), passes=passes)
-    while (frame := call(name, next, frames, END, passes=passes, check=check)) is not END:
-        yield protect(frame)
+    ask = partial(call, f"{simulate.__module__}:{name_of(simulate)}", passes=passes)
+    frames = ask(lambda: iter(simulate(mission, rng)))
+    check = partial(_check_frame, system.frame, {})
+    yield from map(protect_frame, iter(partial(ask, next, frames, END, check=check), END))
 
 
-def protect(frame: Any) -> Any:
+def protect_frame(frame: Any) -> Any:
     """Return a frame with copies of its arrays, which cannot be written to, and of its events."""
-    values: list[Any] = [part.copy() if isinstance(part, Array) else part for part in frame]
-    for value in values:
-        if isinstance(value, Array):
-            value.flags.writeable = False
-    return type(frame)(*values)._replace(events=tuple(deepcopy(frame.events)))
+    return type(frame)(*map(protect, frame))._replace(events=tuple(deepcopy(frame.events)))
 
 
-def _check_frame(kind: type, frame: Any, shapes: dict[str, tuple[int, ...]]) -> Any:
+def _check_frame(kind: type, shapes: dict[str, tuple[int, ...]], frame: Any) -> Any:
     """Refuse what is no frame of a kind, as it declares it, or changes the shape of a field."""
+    if frame is END:
+        return frame
     as_kind(frame, kind, f"a {kind.__name__}")
     for name, hint in get_type_hints(kind, include_extras=True).items():
         value, declared = getattr(frame, name), (*get_args(hint), object)[0]
-        if get_origin(hint) is Annotated and not isinstance(value, _with_numpy(declared)):
+        numeric = int | float | np.number if declared in (int, float) else declared
+        if get_origin(hint) is Annotated and not isinstance(value, numeric):
             got = type(value).__name__
             got = f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else got
             raise InputError("", f"must have a field {name} of {declared}, got {got}")
         if isinstance(value, Array) and shapes.setdefault(name, value.shape) != value.shape:
             raise InputError("", f"must keep the shape {shapes[name]} of {name}, got {value.shape}")
-    if not np.isfinite(frame.time) or not all(isinstance(each, dict) for each in frame.events):
+    if not np.isfinite(frame.time) or not all(isinstance(event, dict) for event in frame.events):
         raise InputError("", f"must have a finite time and dicts as events, got {frame.time!r}")
     return frame
-
-
-def _with_numpy(declared: Any) -> Any:
-    return int | float | np.number if declared in (int, float) else declared
 
 
 @contextmanager
@@ -74,12 +65,12 @@ def watching(callback: Callable[[Any, Any], object]) -> Iterator[Callable[[Any, 
 
     The first exception is warned of, and the number of them at the end.
     """
-    name, count = f"progress {getattr(callback, '__qualname__', type(callback).__name__)}", 0
+    name, count = f"progress {name_of(callback)}", 0
 
     def watch(mission: Any, frame: Any) -> None:
         nonlocal count
         try:
-            call(name, callback, mission, protect(frame))
+            call(name, callback, mission, protect_frame(frame))
         except CallbackError as error:
             if is_strict.get():
                 raise

@@ -1,5 +1,6 @@
 """Callbacks: faults of a user's own functions are told by name, and change no flight."""
 
+import re
 import warnings
 from dataclasses import replace
 from functools import partial, partialmethod
@@ -129,6 +130,50 @@ def test_a_wrong_model_is_refused_by_the_name_of_its_method(model, reason):
         with pytest.raises(InputError, match=reason) as refused:
             sato.run(mission(model=model))
     assert str(refused.value).count("\n") == 0
+
+
+class Friction(sato.NonlinearModel):
+    """Drag that grows with the square of the speed."""
+
+    axes, wrong = 2, np.zeros((4, 6))
+
+    def rate(self, t, x, u):
+        v = x[..., 2:]
+        speed = np.sqrt(1e-6 + (v * v).sum(axis=-1, keepdims=True))
+        return np.concatenate([v, u - 0.06 * speed * v], axis=-1)
+
+    def jacobian(self, t, x, u):
+        v, A = x[..., 2:], np.zeros((*x.shape, 4))
+        speed = np.sqrt(1e-6 + (v * v).sum(axis=-1))[..., None, None]
+        A[..., :2, 2:] = np.eye(2)
+        A[..., 2:, 2:] = -0.06 * (speed * np.eye(2) + v[..., None] * v[..., None, :] / speed)
+        return A + self.wrong[:, :4], np.eye(4, 2, -2) + self.wrong[:, 4:]
+
+
+def test_a_jacobian_is_that_of_the_rate():
+    assert sato.run(mission(model=Friction())).summary["reached"]
+
+
+@pytest.mark.parametrize(("i", "j"), [(2, 2), (3, 2), (2, 0), (3, 5)])
+def test_a_jacobian_that_is_not_that_of_the_rate_is_refused(i, j):
+    wrong = np.zeros((4, 6))
+    wrong[i, j] = 0.02
+    part = f"∂f/∂x[{i}, {j}]" if j < 4 else f"∂f/∂u[{i}, {j - 4}]"
+    reason = rf"^model: Wrong\.jacobian: {re.escape(part)} must be .* Wrong\.rate, got .* would do"
+    with pytest.raises(InputError, match=reason):
+        sato.run(mission(model=type("Wrong", (Friction,), {"wrong": wrong})()))
+
+
+def test_a_method_of_the_library_that_is_extended_is_checked_once(monkeypatch):
+    class Same(dynamics.J2):
+        def rate(self, t, x, u):
+            return super().rate(t, x, u)
+
+    orbit, checks = dynamics.Orbit.from_elements(7e6), []
+    models, state = (dynamics.J2(orbit), Same(orbit)), np.array([[10.0, 0, 0, 0, 0, 0]])
+    monkeypatch.setattr("dynamics.doors._check_call", lambda *given: checks.append(given))
+    rates = [model.rate(0.0, state, np.zeros((1, 3))) for model in models]
+    assert np.array_equal(*rates) and len(checks) == 1
 
 
 @pytest.mark.parametrize("kind", ["class", "attribute", "later"])

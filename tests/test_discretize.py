@@ -220,10 +220,20 @@ def test_dimensions_other_than_2_and_3_are_refused(axes):
         DoubleIntegrator(axes)
 
 
-def test_agents_may_share_controls(rng):
-    steps, x, u = (
-        discretize_zoh(DoubleIntegrator(2), 0.5, 4),
-        rng.normal(size=(3, 4)),
-        np.ones((4, 2)),
-    )
-    assert_allclose(steps.simulate(x, u), steps.simulate(x, np.tile(u, (3, 1, 1))))
+def wave(t, x, u):
+    return casadi.vertcat(x[2:], u - casadi.sin(x[:2]))
+
+
+def test_agents_and_controls_may_share_axes(rng):
+    shared, x = discretize_zoh(DoubleIntegrator(2), 0.5, 4), rng.normal(size=(3, 4))
+    u = rng.normal(size=(2, 1, 4, 2))
+    own = linearize_along(SymbolicModel(2, wave), np.stack([x] * 4, 1), np.zeros((3, 4, 2)), 0.5)
+    for steps in (shared, own):
+        states = steps.simulate(x, u)
+        assert states.shape == (2, 3, 5, 4)
+        for i in range(2):
+            assert_array_equal(states[i], steps.simulate(x, np.tile(u[i], (3, 1, 1))))
+        with pytest.raises(ValueError, match=r"^u: must be an array of"):
+            steps.simulate(x, np.zeros((2, 4, 2)))
+    assert_array_equal(shared.simulate(x, u[0, 0]), shared.simulate(x, u)[0])
+    assert_array_equal(shared.simulate(x[1], u)[:, 0], shared.simulate(x, u)[:, 1])

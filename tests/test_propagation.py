@@ -113,7 +113,7 @@ def test_an_impact_names_agent_and_time():
         ({"times": np.array([2.0, 1.0])}, "times: must increase from 0 or later"),
         ({"times": np.array([-1.0, 1.0])}, "times: must increase from 0 or later"),
         ({"times": np.array([])}, "times: must increase from 0 or later"),
-        ({"accuracy": 1e-15}, "between 1e-13 and 1e-3, got 1e-15"),
+        ({"accuracy": 1e-15}, "^accuracy: .* at least 1e-13 and at most 0.001, got 1e-15"),
         ({"state": np.full((1, 6), np.nan)}, "state: must be an array of finite numbers"),
         ({"state": np.array([[7e3, 0, 0, 0, 7.5, 0]])}, "starts inside the Earth, 7 km.*in meters"),
         ({"forces": Forces(atmosphere=Atmosphere())}, "drag needs the ballistic coefficient"),

@@ -128,6 +128,14 @@ def test_values_of_the_users_own_are_named_and_skipped(name, tmp_path):
         sato.load(tmp_path / "run", mission=other)
 
 
+def test_a_plant_of_the_library_is_not_said_to_be_the_users_own(tmp_path):
+    sato.run(
+        sato.Reconfiguration(**PLAIN | {"plant": sato.LinearPlant(sato.DoubleIntegrator(2))})
+    ).save(tmp_path / "run")
+    said = "the plant `dynamics.plant.LinearPlant` is of Python, which no file holds; sato.load"
+    assert said in str(sato.load(tmp_path / "run").check())
+
+
 def test_a_stick_of_the_users_own_is_no_stick_of_the_library(tmp_path):
     mission = sato.Connectivity(stick=Steady(), duration=0.1)
     run = sato.run(mission)

@@ -1,11 +1,12 @@
-"""Interface of the solver adapters, and the forms of a program that several libraries take."""
+"""Interface of the solver adapters, forms of a program that libraries take, and own solvers."""
 
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from typing import Annotated, Protocol, runtime_checkable
+from types import SimpleNamespace
+from typing import Annotated, Any, Protocol, cast, get_args, runtime_checkable
 
 import numpy as np
 from annotated_types import Ge
@@ -13,16 +14,25 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
 
-from dynamics.callbacks import call, is_own
+from dynamics.callbacks import CallbackError, as_kind, as_shape, call, is_own, name_of
 from dynamics.doors import checked
 from dynamics.inputs import InputError
-from problems.conic import ConeType, ConicProgram, SolverResult, Status
-from problems.solvers.own import OwnSession
+from problems.conic import (
+    TOLERANCE,
+    ConeType,
+    ConicProgram,
+    ConicSolution,
+    SolverResult,
+    Status,
+    Unsolved,
+    verify,
+)
 
 Vector = Float[Array, " m"]
 LP: frozenset[ConeType] = frozenset({"linear"})
 SOCP: frozenset[ConeType] = LP | {"second-order"}
 SDP: frozenset[ConeType] = SOCP | {"semidefinite"}
+RESULT = 'SolverResult("solved", message, x, y, iterations)'
 
 
 @runtime_checkable
@@ -66,7 +76,8 @@ class SolverAdapter:
     def __post_init__(self) -> None:
         """Fill in the names that were left out, and check the answers of own sessions."""
         if is_own(self.session_factory):
-            object.__setattr__(self, "session_factory", partial(OwnSession, self.session_factory))
+            factory = partial(open_own_session, self.session_factory)
+            object.__setattr__(self, "session_factory", factory)
         object.__setattr__(self, "module", self.module or self.name)
         object.__setattr__(self, "pip_packages", self.pip_packages or self.module)
 
@@ -157,3 +168,49 @@ def split_rows(problem: ConicProgram) -> tuple[csc_matrix, csc_matrix, Array, Ar
     """Split A and b into equations and the others, as matrices that older libraries accept."""
     A, b, zero = problem.A, problem.b, problem.zero
     return csc_matrix(A[:zero]), csc_matrix(A[zero:]), b[:zero], b[zero:]
+
+
+def open_own_session(factory: Any, program: ConicProgram, tolerance: float) -> Any:
+    """Open a session of a user's own solver, with a program that nobody else has.
+
+    Raises:
+        CallbackError: It raised an exception; `solve` of the session raises one as well, and
+            where the result is none of this program.
+    """
+    session = call(name_of(factory), factory, deepcopy(program), tolerance)
+    solve = call(name_of(factory), getattr, session, "solve")
+    name, check = f"{type(session).__name__}.solve", partial(_as_result, program.A.shape[::-1])
+    return SimpleNamespace(solve=partial(call, name, solve, check=check))
+
+
+def _as_result(sizes: tuple[int, ...], result: Any) -> SolverResult:
+    status, message, *points, iterations = as_kind(result, SolverResult, RESULT)
+    if status not in get_args(Status):
+        raise InputError("", f"must be {RESULT}, or begin with one of {get_args(Status)}")
+    sized = zip(points, sizes, strict=True)
+    x, y = (None if part is None else as_shape(part, (size,)) for part, size in sized)
+    as_kind(iterations, int | float | np.number | None, f"{RESULT}, of a whole number")
+    return SolverResult(status, str(message), x, y, iterations and int(iterations))
+
+
+def ask(solver: Any, program: ConicProgram) -> ConicSolution:
+    """Solve by a function of a program; verify the answer of one of the user's own.
+
+    Raises:
+        Unsolved: There is no answer, or it fails verification.
+        CallbackError: A function of the user's own raised, or returned no answer.
+    """
+    if not is_own(solver):
+        return cast(ConicSolution, solver(program))
+    name, passes = name_of(solver), (CallbackError, Unsolved)
+
+    def check(answer: Any) -> SolverResult:
+        as_kind(answer, ConicSolution | SolverResult, "a ConicSolution")
+        x, y = as_shape(answer.x, program.q.shape), as_shape(answer.y, program.b.shape)
+        return SolverResult("solved", name, x, y)
+
+    result = call(name, solver, deepcopy(program), passes=passes, check=check)
+    kind, solution, reason, _ = verify(program, result, TOLERANCE)
+    if solution is None or kind != "solved":
+        raise Unsolved(program, reason)
+    return solution

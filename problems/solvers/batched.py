@@ -36,7 +36,7 @@ def unsupported_reason(problem: ConicProgram) -> str:
     return "" if fits else SUPPORTED_FORM
 
 
-class DualSimplexSession:
+class _DualSimplexSession:
     """Program whose equations are made orthonormal once."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
@@ -78,5 +78,5 @@ class DualSimplexSession:
 
 _MODULES = "problems", "sato-swarm"
 ADAPTERS = (
-    SolverAdapter("batched", LP, True, DualSimplexSession, *_MODULES, unsupported_reason, False),
+    SolverAdapter("batched", LP, True, _DualSimplexSession, *_MODULES, unsupported_reason, False),
 )

@@ -22,21 +22,20 @@ STATUSES: dict[str, Status] = {
 }
 
 
-class CvxpySession:
+class _CvxpySession:
     """CVXPY problem that is compiled at its first solve; b is its parameter."""
 
     def __init__(
         self,
         solver: str,
-        tolerances: tuple[str, ...],
+        tolerances: str,
         fixed: dict[str, Any],
         problem: ConicProgram,
         tolerance: float,
     ) -> None:
-        """Write the program in CVXPY."""
         import cvxpy as cp
 
-        self._options = dict.fromkeys(tolerances, tolerance / 10) | fixed
+        self._options = dict.fromkeys(tolerances.split(), tolerance / 10) | fixed
         self._solver, self._failed = solver.upper(), cp.SolverError
         self._x, self._b = cp.Variable(len(problem.q)), cp.Parameter(len(problem.b))
         self._constraints = _constraints(cp, problem, self._b, self._x)
@@ -46,7 +45,6 @@ class CvxpySession:
         self._problem = cp.Problem(cp.Minimize(cost), self._constraints)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._b.value = b
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # its warnings repeat its status
@@ -89,33 +87,27 @@ def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
     return np.concatenate(parts, axis=None)
 
 
-def _adapter(
-    name: str,
-    cones: frozenset[ConeType],
-    passes_ray: bool,
-    tolerances: tuple[str, ...],
-    **fixed: Any,
-) -> SolverAdapter:
-    factory, module = partial(CvxpySession, name, tolerances, fixed), MODULES.get(name, name)
-    return SolverAdapter(
+HIGHS_TOLERANCES = "primal_feasibility_tolerance dual_feasibility_tolerance"
+OSQP_TOLERANCES = "eps_abs eps_rel eps_prim_inf eps_dual_inf"
+# Cones, whether rays are passed on, names of the tolerances, and other options.
+SOLVERS: dict[str, tuple[frozenset[ConeType], bool, str, dict[str, Any]]] = {
+    "clarabel": (SDP, True, "tol_gap_abs tol_gap_rel tol_feas", {"max_threads": 1}),
+    "ecos": (SOCP, False, "abstol reltol feastol", {}),
+    "highs": (LP, True, HIGHS_TOLERANCES, {"threads": 1}),
+    "osqp": (LP, True, OSQP_TOLERANCES, {"max_iter": 100_000, "polishing": True}),
+    "piqp": (LP, False, "eps_abs eps_rel", {}),
+    "qoco": (SOCP, False, "abstol reltol", {}),
+    "scs": (SDP, True, "eps_abs eps_rel eps_infeas", {"max_iters": 100_000}),
+}
+ADAPTERS = tuple(
+    SolverAdapter(
         f"cvxpy-{name}",
         cones,
         passes_ray,
-        factory,
-        module,
-        f"cvxpy {module}",
+        partial(_CvxpySession, name, tolerances, fixed),
+        MODULES.get(name, name),
+        f"cvxpy {MODULES.get(name, name)}",
         takes_quadratic_cost=name != "ecos",  # made a cone, whose duals miss the tolerance
     )
-
-
-HIGHS_TOLERANCES = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
-OSQP_TOLERANCES = ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf")
-ADAPTERS = (
-    _adapter("clarabel", SDP, True, ("tol_gap_abs", "tol_gap_rel", "tol_feas"), max_threads=1),
-    _adapter("ecos", SOCP, False, ("abstol", "reltol", "feastol")),
-    _adapter("highs", LP, True, HIGHS_TOLERANCES, threads=1),
-    _adapter("osqp", LP, True, OSQP_TOLERANCES, max_iter=100_000, polishing=True),
-    _adapter("piqp", LP, False, ("eps_abs", "eps_rel")),
-    _adapter("qoco", SOCP, False, ("abstol", "reltol")),
-    _adapter("scs", SDP, True, ("eps_abs", "eps_rel", "eps_infeas"), max_iters=100_000),
+    for name, (cones, passes_ray, tolerances, fixed) in SOLVERS.items()
 )

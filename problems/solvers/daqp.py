@@ -13,11 +13,10 @@ MAX_ITERATIONS = 100_000
 STATUSES: dict[int, Status] = {1: "solved", -1: "infeasible"}  # by exit flag
 
 
-class DaqpSession:
+class _DaqpSession:
     """Program that is set up once. Infeasible programs get no certificate."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         import daqp
 
         self._zero = problem.zero
@@ -32,11 +31,10 @@ class DaqpSession:
         self._solver.setup(H, *own, lower, sense)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._solver.update(bupper=b.copy(), blower=lower_bounds(b, self._zero, INFINITY))
         x, _, flag, info = self._solver.solve()
         status = STATUSES.get(flag, "stopped")
         return make_result(status, f"exit flag {flag}", info["iterations"], x, info["lam"])
 
 
-ADAPTERS = (SolverAdapter("daqp", LP, False, DaqpSession),)
+ADAPTERS = (SolverAdapter("daqp", LP, False, _DaqpSession),)

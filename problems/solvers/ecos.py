@@ -12,11 +12,10 @@ STATUSES: dict[str, Status] = {
 }
 
 
-class EcosSession:
+class _EcosSession:
     """Program that is set up anew at every solve, which is all that the library offers."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Convert the program."""
         import ecos
 
         self._solve, self._q, self._zero = ecos.solve, problem.q, problem.zero
@@ -26,7 +25,6 @@ class EcosSession:
         self._options = {"verbose": False, **tolerances}
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         equations = {"A": self._A, "b": b[: self._zero]} if self._zero else {}
         inequalities = self._G, b[self._zero :], self._cones
         found = self._solve(self._q, *inequalities, **equations, **self._options)
@@ -35,4 +33,4 @@ class EcosSession:
         return make_result(STATUSES.get(message, "stopped"), message, iterations, found["x"], y, y)
 
 
-ADAPTERS = (SolverAdapter("ecos", SOCP, True, EcosSession, takes_quadratic_cost=False),)
+ADAPTERS = (SolverAdapter("ecos", SOCP, True, _EcosSession, takes_quadratic_cost=False),)

@@ -25,11 +25,10 @@ def solve_highs(problem: ConicProgram) -> SolverResult:
     return ADAPTERS[0].open_session(problem, DEFAULT_TOLERANCE).solve(problem.b)
 
 
-class HighsSession:
+class _HighsSession:
     """Model that is kept, with its basis, for other right-hand sides."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         self._zero, self._solver = problem.zero, highspy.Highs()
         self._solver.setOptionValue("output_flag", False)
         self._solver.setOptionValue("threads", 1)
@@ -96,4 +95,4 @@ def _hessian(P: csc_array) -> highspy.HighsHessian:
     return hessian
 
 
-ADAPTERS = (SolverAdapter("highs", LP, True, HighsSession, module="highspy"),)
+ADAPTERS = (SolverAdapter("highs", LP, True, _HighsSession, module="highspy"),)

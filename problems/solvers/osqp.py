@@ -12,7 +12,7 @@ TOLERANCES = ("eps_abs", "eps_rel", "eps_prim_inf", "eps_dual_inf")
 STATUSES: dict[str, Status] = {"solved": "solved", "primal infeasible": "infeasible"}
 
 
-class OsqpSession:
+class _OsqpSession:
     """Program that is set up once; each solve starts from the last solution.
 
     Operator splitting converges slowly on linear programs. The active set that it finds is then
@@ -20,7 +20,6 @@ class OsqpSession:
     """
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         import osqp
 
         self._zero = problem.zero
@@ -40,4 +39,4 @@ class OsqpSession:
         return make_result(status, message, found.info.iter, found.x, found.y, ray)
 
 
-ADAPTERS = (SolverAdapter("osqp", LP, True, OsqpSession),)
+ADAPTERS = (SolverAdapter("osqp", LP, True, _OsqpSession),)

@@ -14,11 +14,10 @@ MAX_ITERATIONS = 100  # of the outer loop; feasible programs take ten
 STATUSES: dict[str, Status] = {"PROXQP_SOLVED": "solved", "PROXQP_PRIMAL_INFEASIBLE": "infeasible"}
 
 
-class ProxqpSession:
+class _ProxqpSession:
     """Program that is set up once. Infeasible programs get no certificate."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         from proxsuite import proxqp
 
         A, C, b, upper = split_rows(problem)
@@ -35,7 +34,6 @@ class ProxqpSession:
         self._solver.init(csc_matrix(problem.hessian), problem.q, A, b, C, lower, upper)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._solver.update(b=b[: self._zero], u=b[self._zero :])
         self._solver.solve()
         found = self._solver.results
@@ -44,4 +42,4 @@ class ProxqpSession:
         return make_result(status, message, found.info.iter, found.x, y)
 
 
-ADAPTERS = (SolverAdapter("proxqp", LP, False, ProxqpSession, module="proxsuite"),)
+ADAPTERS = (SolverAdapter("proxqp", LP, False, _ProxqpSession, module="proxsuite"),)

@@ -9,11 +9,10 @@ from problems.conic import ConicProgram, SolverResult, Status
 from problems.solvers.adapter import SOCP, SolverAdapter, Vector, make_result, split_rows
 
 
-class QocoSession:
+class _QocoSession:
     """Program that is set up once. Infeasible programs are not detected."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         import qoco
 
         self._zero = problem.zero
@@ -27,7 +26,6 @@ class QocoSession:
         self._solver.setup(*sizes, P, problem.q, *equalities, *inequalities, *cones, **limits)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._solver.update_vector_data(b=b[: self._zero], h=b[self._zero :])
         found = self._solver.solve()
         y = np.concatenate([found.y, found.z])
@@ -35,4 +33,4 @@ class QocoSession:
         return make_result(status, found.status, found.iters, found.x, y)
 
 
-ADAPTERS = (SolverAdapter("qoco", SOCP, False, QocoSession),)
+ADAPTERS = (SolverAdapter("qoco", SOCP, False, _QocoSession),)

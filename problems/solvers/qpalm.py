@@ -14,11 +14,10 @@ MAX_ITERATIONS = 100_000
 STATUSES: dict[str, Status] = {"solved": "solved", "primal infeasible": "infeasible"}
 
 
-class QpalmSession:
+class _QpalmSession:
     """Program that is set up once."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         import qpalm
 
         self._zero, n = problem.zero, len(problem.q)
@@ -33,7 +32,6 @@ class QpalmSession:
         self._solver: Any = qpalm.Solver(data, settings)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side."""
         self._solver.update_bounds(lower_bounds(b, self._zero, INFINITY), b)
         self._solver.solve()
         info, point = self._solver.info, self._solver.solution
@@ -41,4 +39,4 @@ class QpalmSession:
         return make_result(status, info.status, info.iter, point.x, point.y, ray)
 
 
-ADAPTERS = (SolverAdapter("qpalm", LP, True, QpalmSession),)
+ADAPTERS = (SolverAdapter("qpalm", LP, True, _QpalmSession),)

@@ -14,11 +14,10 @@ MAX_ITERATIONS = 100_000
 STATUSES: dict[str, Status] = {"solved": "solved", "infeasible": "infeasible"}
 
 
-class ScsSession:
+class _ScsSession:
     """Program that is set up once; each solve starts from the last solution."""
 
     def __init__(self, problem: ConicProgram, tolerance: float) -> None:
-        """Set up the program."""
         import scs
 
         self._order = _row_order(problem)
@@ -50,4 +49,4 @@ def _row_order(problem: ConicProgram) -> Int[Array, " m"]:
     return np.concatenate(order)
 
 
-ADAPTERS = (SolverAdapter("scs", SDP, True, ScsSession),)
+ADAPTERS = (SolverAdapter("scs", SDP, True, _ScsSession),)

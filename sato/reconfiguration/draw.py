@@ -65,7 +65,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(drawn, n))
     feasibility.check_programs(drawn)
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
-    own_motion.try_plant(drawn.plant, drawn.initial_states, drawn.step)
+    own_motion.try_motion(drawn.model, drawn.plant, drawn.initial_states, drawn.step)
     drawn = _resolve(drawn, departures, factors, demand)
     check_margin_to_obstacles(drawn)
     link_feasibility.check_starts(drawn)

@@ -191,7 +191,7 @@ def _check_detectable(mission: "Reconfiguration") -> None:
     cures = []
     if closing < inf:
         cures.append(f"swarm.comm_radius_m = {round_up(needed)}")
-    if room > 0 and mission.has_single_speed:
+    if room > 0 and not isinstance(mission.max_speed, tuple) and mission.speed_norm == 2:
         slower = room / (2 * mission.horizon_steps * mission.step)
         cures.append(f"model.max_speed_m_s = {round_down(slower)}")
     if closing < inf and (shorter := floor(room / (closing * mission.step) + 1e-9)) > 0:

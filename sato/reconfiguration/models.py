@@ -24,7 +24,7 @@ from dynamics.tschauner_hempel import TschaunerHempel
 from dynamics.units import Unit
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.own_motion import check_axes
-from sato.scenario.definition import Amount, Definition, NotNegative, Positive
+from sato.scenario.definition import Amount, Definition, NotNegative, Positive, fields_of
 from sato.scenario.errors import InputError, join_names
 
 MODELS: dict[str, Callable[[Orbit], LinearModel]] = {
@@ -86,15 +86,11 @@ class PlantSettings(Definition):
     def check(self) -> None:
         """Refuse half a drag."""
         if not self.drag:
-            unused = {
-                "ballistic_m2_kg": self.ballistic,
-                "ballistic_spread": self.ballistic_spread or None,
-                "chief_ballistic_m2_kg": self.chief_ballistic,
-            }
-            unused |= {key: getattr(self, name) for key, name in AIR.items()}
-            for key, value in unused.items():
-                if value is not None:
-                    raise InputError(key, "has no effect without drag; drag = true would use it")
+            for field in fields_of(type(self)):
+                is_given = getattr(self, field.name) != field.default
+                if is_given and field.name not in ("kind", "drag"):
+                    reason = "has no effect without drag; drag = true would use it"
+                    raise InputError(field.key, reason)
             return
         if self.ballistic is None:
             example = "ballistic_m2_kg = 0.01 (say 2.2 × 0.5 m² / 110 kg)"
@@ -153,11 +149,7 @@ def as_chief(value: Any) -> Any:
 
 
 def check_orbital_model(kind: object, has_orbit: bool) -> None:
-    """Refuse an orbital model without an orbit.
-
-    Raises:
-        InputError: There is none, so the keys of the model are likely those of another.
-    """
+    """Refuse an orbital model without an orbit; its keys are likely those of another."""
     if isinstance(kind, str) and kind in MODELS and not has_orbit:
         raise InputError(
             "model.kind",
@@ -187,13 +179,7 @@ def flies_model(
     """Tell whether the vehicles do exactly what the shared model says.
 
     A plant of a linear model does so if its steps are those of the shared model, up to rounding:
-    at the beginning, and 1, 3, 7 … 1023 control steps later.
-
-    Args:
-        model: Model by which vehicles plan.
-        chief: Chief about which they move.
-        plant: Motion that is flown.
-        step: Control step [s].
+    at the beginning, and 1, 3, 7 … 1023 control steps of `step` [s] later.
     """
     if isinstance(model, NonlinearModel):
         return False
@@ -206,11 +192,7 @@ def flies_model(
 
 
 def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> None:
-    """Refuse a model, a chief and a plant that do not belong together.
-
-    Raises:
-        InputError: They do not.
-    """
+    """Refuse a model, a chief and a plant that do not belong together."""
     if isinstance(model, OrbitalModel):
         check_orbital_model(model.kind, chief is not None or model.mean_motion is not None)
     if chief is not None and isinstance(model, PointMass):
@@ -306,9 +288,9 @@ class Motion:
         plant, chief = self.plant, self.chief
         if isinstance(plant, Plant) or plant.ballistic is None or chief is None:
             return plant
-        each = plant.ballistic * (1 + plant.ballistic_spread * rng.uniform(-1, 1, agents))
-        own = plant.ballistic if plant.chief_ballistic is None else plant.chief_ballistic
-        return InertialPlant(chief.orbit, each, own, plant.atmosphere(chief))
+        drawn = plant.ballistic * (1 + plant.ballistic_spread * rng.uniform(-1, 1, agents))
+        of_chief = plant.ballistic if plant.chief_ballistic is None else plant.chief_ballistic
+        return InertialPlant(chief.orbit, drawn, of_chief, plant.atmosphere(chief))
 
     @cached_property
     def flown_plant(self) -> Plant:

@@ -20,6 +20,9 @@ from dynamics.plant import PLANT_CALLBACKS, LinearPlant, NonlinearPlant, Plant
 from sato.scenario.errors import InputError, round_down
 
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
+DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
+SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
+MAX_TRIED = 8  # agents from whose states a Jacobian is tried
 LEAST_REACH = 1e-9  # of the direction that controls move least, over that they move most
 
 
@@ -31,11 +34,7 @@ def is_own_model(model: Any) -> bool:
 
 
 def check_axes(model: Any) -> None:
-    """Refuse a model that is neither of the plane nor of space.
-
-    Raises:
-        InputError: It is.
-    """
+    """Refuse a model that is neither of the plane nor of space."""
     axes = getattr(model, "axes", None)
     if isinstance(model, Model) and (isinstance(axes, bool) or axes not in (2, 3)):
         raise InputError("", f"{type(model).__name__}.axes must be 2 or 3, got {axes!r}")
@@ -44,22 +43,15 @@ def check_axes(model: Any) -> None:
 def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
     """Refuse equations of motion of the user's own that cannot be planned or flown.
 
-    Args:
-        model: Model of the mission.
-        plant: Plant of the mission.
-        step: Control step [s].
-        steps: Control steps of all legs, as far as they are known.
-
-    Raises:
-        InputError: They cannot be; the message has the name of the method.
+    The error has the name of the method. The steps [s] are those of all legs, as far as known.
     """
     inner = plant.model if isinstance(plant, LinearPlant | NonlinearPlant) else None
     if isinstance(plant, Plant):
         guard_attributes(plant, PLANT_CALLBACKS)
-    for key, own in (("model", model), ("plant", inner)):
-        if is_own_model(own):
+    for key, part in (("model", model), ("plant", inner)):
+        if is_own_model(part):
             try:
-                _check_model(own, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
+                _check_model(part, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
             except InputError as error:
                 raise error.inside(key) from error
     orbit = plant.chief_orbit if isinstance(plant, Plant) else None
@@ -95,11 +87,7 @@ def _check_model(model: Any, step: float, times: Any) -> None:
 
 
 def check_authority(name: str, model: DiscreteModel) -> None:
-    """Refuse a model whose controls do not reach every state.
-
-    Raises:
-        InputError: They do not.
-    """
+    """Refuse a model whose controls do not reach every state."""
     n, time = model.A.shape[-1], len(model) * model.dt
     moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
     sizes = np.linalg.svd(moved, compute_uv=False)
@@ -109,12 +97,10 @@ def check_authority(name: str, model: DiscreteModel) -> None:
         raise InputError("model", f"{name}.B: {reason}; a B that is an acceleration would do")
 
 
-def try_plant(plant: Any, x: Any, step: float) -> None:
-    """Propagate the first states by a plant of the user's own, which must repeat itself.
-
-    Raises:
-        CallbackError: It fails, or does not.
-    """
+def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
+    """Refuse a wrong Jacobian, and a plant that does not repeat itself, of the user's own."""
+    if isinstance(model, NonlinearModel) and is_own(type(model)):
+        _check_jacobian(model, x[:MAX_TRIED], step)
     if not (isinstance(plant, Plant) and is_own(type(plant))):
         return
     u = np.zeros((len(x), x.shape[1] // 2))
@@ -124,3 +110,37 @@ def try_plant(plant: Any, x: Any, step: float) -> None:
         name = f"{type(plant).__name__}.propagate"
         reason = "returns other states for the same arguments; a plant without state and chance"
         raise CallbackError("", f"{name} {reason} would do")
+
+
+def _check_jacobian(model: NonlinearModel, x: Any, step: float) -> None:
+    """Compare a Jacobian with central differences, block by block of position and velocity."""
+    count, d, name = len(x), model.axes, type(model).__name__
+    # Not at rest, where friction, say, has no effect.
+    motion = np.random.default_rng(0).normal(0, [0.0] * d + [0.1] * 2 * d)
+    points = np.hstack([x, np.zeros((count, d))]) + motion
+    times, sizes = step * np.arange(count), np.maximum(np.abs(points), 1.0)
+
+    def differentiate(h: float) -> Any:
+        moves = h * sizes[..., None] * np.eye(3 * d)
+        ends = (points[:, None] + sign * moves for sign in (1, -1))
+        stacks = [np.split(end.reshape(-1, 3 * d), [2 * d], axis=1) for end in ends]
+        above, below = (model.rate(times.repeat(3 * d), *stack) for stack in stacks)
+        change = (above - below).reshape(count, 3 * d, 2 * d).swapaxes(1, 2)
+        return change / (2 * h * sizes[:, None])
+
+    def largest(entries: Any) -> Any:
+        blocks = np.abs(entries).reshape(count, 2, d, 3, d).max(axis=(0, 2, 4))
+        return blocks.repeat(d, axis=0).repeat(d, axis=1)
+
+    parts = model.jacobian(times, *np.split(points, [2 * d], axis=1))
+    given, expected = np.concatenate(parts, axis=2), differentiate(DIFFERENCE)
+    rounding = largest(differentiate(2 * DIFFERENCE) - expected)
+    tolerance = SAME * np.maximum(largest(given), largest(expected)) + 4 * rounding
+    excess = np.abs(given - expected) - tolerance
+    k, i, j = np.unravel_index(excess.argmax(), excess.shape)
+    if excess[k, i, j] > 0:
+        entry = f"∂f/∂x[{i}, {j}]" if j < 2 * d else f"∂f/∂u[{i}, {j - 2 * d}]"
+        reason = f"{entry} must be {expected[k, i, j]:.6g}, by differences of {name}.rate"
+        cure = "a SymbolicModel, which is differentiated automatically, would do"
+        got = f"got {given[k, i, j]:.6g} (t={times[k]:.6g})"
+        raise InputError("model", f"{name}.jacobian: {reason}, {got}; {cure}")

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods
-from problems.limit import Bound, Limit, Norm
+from problems.limit import Limit, Norm
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.models import Motion
 from sato.scenario.definition import Count
@@ -113,14 +113,12 @@ class Vehicles(Motion):
     @cached_property
     def control_limits(self) -> tuple[Limit, ...]:
         """Limit of each vehicle's acceleration [m/s²]; a single one where all are equal."""
-        bounds = _bounds(self.max_control, self.max_control_axes)
-        return tuple(Limit(bound, self.control_norm, self.axes) for bound in bounds)
+        return _limits(self.max_control, self.max_control_axes, self.control_norm, self.axes)
 
     @cached_property
     def speed_limits(self) -> tuple[Limit, ...]:
         """Limit of each vehicle's velocity [m/s]; a single one where all are equal."""
-        bounds = _bounds(self.max_speed, self.max_speed_axes)
-        return tuple(Limit(bound, self.speed_norm, self.axes) for bound in bounds)
+        return _limits(self.max_speed, self.max_speed_axes, self.speed_norm, self.axes)
 
     def control_limit(self, agent: Count) -> Limit:
         """Return the limit of an agent's acceleration [m/s²]."""
@@ -143,31 +141,20 @@ class Vehicles(Motion):
         return min(float(limit.most * limit.shares.min()) for limit in self.control_limits)
 
     @property
-    def has_single_speed(self) -> bool:
-        """True where one number limits the speed of all, in the Euclidean norm."""
-        return not isinstance(self.max_speed, tuple) and self.speed_norm == 2
-
-    @property
     def top_speeds(self) -> Float[Array, " vehicles"]:
         """Largest Euclidean speed of each vehicle, or a single one [m/s]."""
         return np.array([limit.largest_length for limit in self.speed_limits])
 
     def require_equal_vehicles(self, what: str) -> None:
-        """Refuse vehicles with radii or limits of their own.
-
-        Raises:
-            InputError: They have; `what` is for equal ones.
-        """
-        for name, limits in (
-            ("control_m_s2", self.control_limits),
-            ("speed_m_s", self.speed_limits),
+        """Refuse vehicles with radii or limits of their own; `what` is for equal ones."""
+        for where, parts, is_equal in (
+            ("model.max_control_m_s2", "limits", len(self.control_limits) == 1),
+            ("model.max_speed_m_s", "limits", len(self.speed_limits) == 1),
+            ("swarm.collision_radius_m", "radii", self.has_equal_radii),
         ):
-            if len(limits) > 1:
-                reason = f"is a list, and {what} is for vehicles with equal limits"
-                raise InputError(f"model.max_{name}", f"{reason}; a number would do")
-        if not self.has_equal_radii:
-            reason = f"is a list, and {what} is for vehicles with equal radii"
-            raise InputError("swarm.collision_radius_m", f"{reason}; a number would do")
+            if not is_equal:
+                reason = f"is a list, and {what} is for vehicles with equal {parts}"
+                raise InputError(where, f"{reason}; a number would do")
 
     def group_by_limits(self, agents: Int[Array, " k"]) -> list[Int[Array, "..."]]:
         """Group agents that have the same limits, as indices into the agents that are given."""
@@ -179,11 +166,7 @@ class Vehicles(Motion):
 
 
 def check_limits(mission: Any) -> None:
-    """Refuse limits that are missing, given twice, or of the wrong length.
-
-    Raises:
-        InputError: They are.
-    """
+    """Refuse limits that are missing, given twice, or of the wrong length."""
     control, speed = mission.max_control_axes, mission.max_speed_axes
     if mission.max_control is None and control is None:
         missing = "is missing, and has no default; it or max_control_axes_m_s2 would do"
@@ -197,11 +180,7 @@ def check_limits(mission: Any) -> None:
         where = f"model.{name}_axes_{unit}"
         if is_given:
             raise InputError(where, f"is given beside {name}_{unit}; one of the two is enough")
-        if min(axes) <= 0:
-            raise InputError(where, f"must be greater than 0, got {min(axes):g}")
-        if len(axes) != mission.axes:
-            reason = f"has {len(axes)} entries, and the model has {mission.axes} axes"
-            raise InputError(where, reason)
+        _check_entries(where, axes, mission.axes)
         if getattr(mission, norm) != "inf":
             reason = f'{norm} = {getattr(mission, norm)}; {norm} = "inf" would do'
             raise InputError(where, f"limits each axis by itself, and there is {reason}")
@@ -232,11 +211,7 @@ def _check_ellipsoid(mission: Any) -> None:
         return
     if None not in (ratios, meters):
         raise InputError(where, "is given beside separation_axes; one of the two is enough")
-    if len(given) != mission.axes:
-        reason = f"has {len(given)} entries, and the model has {mission.axes} axes"
-        raise InputError(where, reason)
-    if min(given) <= 0:
-        raise InputError(where, f"must be greater than 0, got {min(given):g}")
+    _check_entries(where, given, mission.axes)
     if not mission.is_point_mass:
         reason = "is for double integrators; swarm.collision_radius_m would do"
         raise InputError(where, reason)
@@ -253,12 +228,15 @@ def _check_ellipsoid(mission: Any) -> None:
         raise InputError(where, f"{reason}; {cure}")
 
 
-def check_automatic_steps(mission: Any) -> None:
-    """Refuse automatic steps where any of unequal vehicles may stand at any target.
+def _check_entries(where: str, values: tuple[float, ...], axes: int) -> None:
+    if len(values) != axes:
+        raise InputError(where, f"has {len(values)} entries, and the model has {axes} axes")
+    if min(values) <= 0:
+        raise InputError(where, f"must be greater than 0, got {min(values):g}")
 
-    Raises:
-        InputError: A leg but the first has them.
-    """
+
+def check_automatic_steps(mission: Any) -> None:
+    """Refuse automatic steps of later legs where unequal vehicles may stand at any target."""
     is_equal = len(mission.control_limits) == len(mission.speed_limits) == 1
     for number, leg in enumerate(mission.legs):
         if number and leg.steps == "auto" and not is_equal and mission.assignment != "given":
@@ -266,8 +244,9 @@ def check_automatic_steps(mission: Any) -> None:
             raise InputError(f"leg.{number}.steps", f'"auto" {reason}; a number would do')
 
 
-def _bounds(each: PerVehicle | None, axes: tuple[float, ...] | None) -> list[Bound]:
-    if axes is not None:
-        return [np.array(axes)]
-    assert each is not None
-    return list(each) if isinstance(each, tuple) else [each]
+def _limits(
+    limits: PerVehicle | None, limits_of_axes: tuple[float, ...] | None, norm: Norm, axes: int
+) -> tuple[Limit, ...]:
+    bounds: Any = limits if isinstance(limits, tuple) else (limits,)
+    bounds = bounds if limits_of_axes is None else (np.array(limits_of_axes),)
+    return tuple(Limit(bound, norm, axes) for bound in bounds)

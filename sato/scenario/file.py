@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field
 
-from dynamics.callbacks import Callback, as_kind
+from dynamics.callbacks import LIBRARY, Callback, as_kind
 from dynamics.doors import checked
 from sato.scenario.definition import Definition, In, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
@@ -78,11 +78,13 @@ def describe_own(text: str) -> str:
 
     data = load_toml(text, "run.nc")
     found = [f"the {place} `{kind}`" if kind else f"the {place}" for place, kind in find_own(data)]
+    is_own = all(kind.partition(".")[0] not in LIBRARY for _, kind in find_own(data))
     match data:
         case {"plan": {"solver": str(solver)}} if solver not in load_adapters():
             found.append(f"the plan.solver `{solver}`")
     verb, them = ("is", "it") if len(found) == 1 else ("are", "them")
-    given = f"{verb} of your own; sato.load(path, mission=...) gives {them}"
+    whose = "of your own" if is_own else "of Python, which no file holds"
+    given = f"{verb} {whose}; sato.load(path, mission=...) gives {them}"
     return f"{join_names(found, 'and')} {given}" if found else ""
 
 
