@@ -40,7 +40,7 @@ def test_missions_that_are_not_drawn_need_first_commitments_in_motion_alone():
     start = np.array([[0.0, 0.0, 0.0, 0.0], [5.0, 0.0, 0.0, 0.0]])
     still = sato.Reconfiguration(start=start, legs=legs, **limits)
     assert sato.find_first_commitments(still) == {}
-    moving = sato.Reconfiguration(start=start + [0.0, 0.0, 0.1, 0.0], legs=legs, **limits)
+    moving = sato.Reconfiguration(start=start + np.array([0.0, 0.0, 0.1, 0.0]), legs=legs, **limits)
     with pytest.raises(ValueError, match="mission: must be drawn"):
         sato.find_first_commitments(moving)
 
