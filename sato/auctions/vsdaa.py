@@ -89,15 +89,13 @@ class VsdaaAuction:
             hears = ~np.eye(agents, dtype=bool) if graph is None else graph
             graph = CommunicationGraph(hears, np.ones(agents, dtype=bool))
         count = np.full(agents, target_count) if isinstance(target_count, int) else target_count
-        names = "cost", "graph", "target_count", "epsilon", "bidder_ids", "opening"
-        values = cost, graph, count, epsilon, bidder_ids, opening
-        for name, value in zip(names, values, strict=True):
-            object.__setattr__(self, name, value)
+        real = np.asarray(cost, dtype=float)  # of any numbers
+        self.__dict__.update(cost=real, graph=graph, target_count=count, epsilon=epsilon)
+        self.__dict__.update(bidder_ids=bidder_ids, opening=opening)
         self._check()
 
     def _check(self) -> None:
         """Refuse an auction that cannot end."""
-        object.__setattr__(self, "cost", np.asarray(self.cost, dtype=float))  # of any numbers
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
         if not np.all(np.isfinite(cost[alive])):

@@ -166,35 +166,8 @@ def count_census(graph: CommunicationGraph) -> Counts:
     An agent passes on, in the round after it has heard of them, those at each distance up to its
     eccentricity e, and after round e + 1 the largest eccentricity that it knows.
     """
-    far = graph.eccentricity
-    rises = np.zeros_like(far)
-    _spread_eccentricity(*graph.lists, far, rises)
-    messages = np.where(graph.alive, 1 + far + rises, 0)
+    live = np.flatnonzero(graph.alive)
+    learned = graph.eccentricity[live] + 1  # rounds after which agents know their own
+    rises = mark_changes(graph, 2 * (graph.diameter + 1), (live, learned), 0).sum(axis=1)
+    messages = np.where(graph.alive, 1 + graph.eccentricity + rises, 0)
     return messages, ECCENTRICITY * messages
-
-
-@njit(cache=True)
-@no_type_check
-def _spread_eccentricity(first, neighbor, far, rises):
-    # Agent i knows its own after round far[i] + 1, and hears another's a hop a round.
-    agents = len(far)
-    largest, after = np.full(agents, -1), np.full(agents, -1)
-    round, known = 0, 0
-    while known < agents:
-        round += 1
-        known = 0
-        is_changed = False
-        for i in range(agents):
-            best = largest[i]
-            if far[i] + 1 <= round:
-                best = max(best, far[i])
-                known += 1
-            for k in range(first[i], first[i + 1]):
-                best = max(best, largest[neighbor[k]])
-            after[i] = best
-            if best > largest[i]:
-                rises[i] += 1
-                is_changed = True
-        largest[:] = after
-        if is_changed:
-            known = 0

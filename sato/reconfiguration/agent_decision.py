@@ -38,7 +38,6 @@ from numpy import ndarray as Array
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import Opening, VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
-from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, commitment, evasion, planning, stopping, target_costs
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
@@ -90,8 +89,6 @@ from sato.reconfiguration.plan import (
 from sato.reconfiguration.state import DecisionContext, Event
 from sato.scp.halfway import come_after
 from sato.scp.planner import Planner
-
-ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
 
 
 class Decision(NamedTuple):
@@ -439,7 +436,7 @@ class Decision(NamedTuple):
         if counts_members(mission):
             count = count_targets(count, np.array(len(self.members)), len(cost))
         cost, m = cost[order], int(count)
-        VsdaaAuction(cost[None], ALONE, count[None], epsilon)  # checks its data
+        VsdaaAuction(cost[None], None, count[None], epsilon)  # checks its data
         opening = Opening.empty(1, len(cost))
         if is_forecast(mission, self.context.leg) and not self.is_unpriced:
             states = {terms.agent: terms.state for terms in sorted(flood.message)}

@@ -20,7 +20,7 @@ from sato.reconfiguration.auction_opening import (
     is_forecast,
 )
 from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon, least_penalty
-from sato.reconfiguration.blocked_targets import agree_on_blocked, find_all_blocked, order_targets
+from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -70,7 +70,7 @@ def assign_targets(
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(waiting, context.graph)
     known = find_all_blocked(context)
-    blocked = None if known is None else agree_on_blocked(graph, known)
+    blocked = None if known is None else graph.component_any(known)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
     context = context._replace(memory=memory)
@@ -123,13 +123,12 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
 
     The batched equivalent of flooding: of two claims of one agent the newer counts.
     """
-    target, step = memory.claimed_target.copy(), memory.claim_step.copy()
+    target, step = memory.claimed_target.copy(), memory.claim_step
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
         newest = step[members].argmax(axis=0)
         target[members] = target[members[newest], np.arange(len(newest))]
-        step[members] = step[members].max(axis=0)
-    clock = -graph.component_max(-memory.clock)
+    step, clock = graph.component_max(step), -graph.component_max(-memory.clock)
     return replace(memory, claimed_target=target, claim_step=step, clock=clock)
 
 

@@ -23,7 +23,7 @@ from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
-from sato.scp.exchange import count_trajectories
+from sato.scp.exchange import ConflictResolution, count_trajectories
 from sato.scp.planner import (
     ACTIVE_TOLERANCE,
     NEARBY_FACTOR,
@@ -34,12 +34,7 @@ from sato.scp.planner import (
     reaches_target,
     required_separations,
 )
-from sato.scp.priority_orders import (
-    ConflictResolution,
-    PriorityCost,
-    component_costs,
-    compute_priority_cost,
-)
+from sato.scp.priority_orders import PriorityCost, component_costs, compute_priority_cost
 
 COST_TOLERANCE = 1e-9  # part of the cost of two: a smaller difference counts as none
 MIN_IMPROVEMENT = 1e-3  # part of a component's cost: a sweep that saves less is its last

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
 from sato.network.rounds import run_round
-from sato.scp.exchange import count_trajectories, run_scp
+from sato.scp.exchange import ConflictResolution, count_trajectories, run_scp
 from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
 
 
@@ -25,15 +24,6 @@ class PriorityCost(NamedTuple):
     is_too_close: float  # 1 where it comes too close to another
     misses_target: float  # 1 where it does not end at its target
     extra_cost: float  # fuel [m/s] or energy [m²/s³] beyond that of its solo trajectory
-
-
-class ConflictResolution(NamedTuple):
-    """Trajectories that agents agreed on, and the effort it took."""
-
-    planners: dict[int, Planner]
-    round_count: int  # rounds of messages, floods included
-    solve_count: int  # programs
-    load: Load
 
 
 def try_priority_orders(
@@ -46,8 +36,8 @@ def try_priority_orders(
         graph: Communication graph.
         orders: Largest number of orders; fewer where no agent of a component has a cost.
     """
-    kept, rounds, load = run_scp(planners, graph)
-    tried, solves = kept, count_solves(kept)
+    kept, rounds, solves, load = run_scp(planners, graph)
+    tried = kept
     if orders == 1 or not kept:
         return ConflictResolution(kept, rounds, solves, load)
     flooding = int(graph.diameter[list(kept)].max())
@@ -63,9 +53,8 @@ def try_priority_orders(
         if not costly:
             break
         planners = {i: offset_right(raise_priority(planners[i], tried[i]), 1.0) for i in costly}
-        tried, exchanges, more = run_scp(planners, graph)
-        load = load.plus(more)
-        rounds, solves = rounds + exchanges + flooding, solves + count_solves(tried)
+        tried, exchanges, programs, more = run_scp(planners, graph)
+        rounds, solves, load = rounds + exchanges + flooding, solves + programs, load.plus(more)
         kept = keep_cheaper(kept, tried, graph)
     return ConflictResolution(kept, rounds, solves, load)
 
@@ -78,11 +67,6 @@ def compute_priority_cost(agent: Planner) -> PriorityCost:
         float(not agent.reaches_target(agent.nominal)),
         agent.transfer.cost(agent.nominal) - agent.transfer.cost(agent.solo),
     )
-
-
-def count_solves(planners: Mapping[int, Planner]) -> int:
-    """Count the programs that all agents solved."""
-    return sum(agent.solve_count for agent in planners.values())
 
 
 def raise_priority(agent: Planner, tried: Planner) -> Planner:
