@@ -144,7 +144,7 @@ class CommunicationGraph:
     def eccentricity(self) -> Int[Array, " agents"]:
         """Hops to the farthest agent of each one's component; 0 where not alive."""
         near = np.where(self.hops < FAR, self.hops, 0)
-        return near.max(axis=1, initial=0).astype(np.int64)
+        return np.asarray(near.max(axis=1, initial=0), dtype=np.int64)
 
     @cached_property
     def diameter(self) -> Int[Array, " agents"]:

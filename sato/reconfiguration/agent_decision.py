@@ -111,6 +111,7 @@ class Decision(NamedTuple):
     table: target_costs.CostTable | None = None  # of the auction
     is_unpriced: bool = False  # it begins without prices
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
+    unreachable: tuple[int, ...] = ()  # its number, if its target is out of reach
     previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
     choosing: Choosing | None = None  # once it has chosen
@@ -206,11 +207,11 @@ class Decision(NamedTuple):
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
         if isinstance(self.stage, Bending):
-            return self._enter(Meeting(self.stage.planner, self.stage.unreachable))
+            return self._enter(Meeting(self.stage.planner))
         if isinstance(self.stage, Meeting):
-            return self._exchange(come_after(self.stage.planner), self.stage.unreachable)
+            return self._exchange(come_after(self.stage.planner))
         if isinstance(self.stage, Exchange):
-            return self._after_exchange(self.stage)
+            return self._after_exchange(self.stage.planner)
         if isinstance(self.stage, Holding):
             held = self.stage
             return self._replace(is_unclear=held.is_unclear)._begin_choice(held.kept_offers)
@@ -220,8 +221,8 @@ class Decision(NamedTuple):
             return self._report_choice(self.stage)
         return self._begin_evasion(self.stage) if self.is_evading else self._commit(self.stage)
 
-    def _after_exchange(self, exchange: Exchange) -> "Decision":
-        planners, lost = {self.number: exchange.planner}, exchange.unreachable
+    def _after_exchange(self, planner: Planner) -> "Decision":
+        planners, lost = {self.number: planner}, self.unreachable
         count = len(self.context.mission.initial_states)
         hears_all = self.diameter <= 1 and len(self.members) == count
         plans, events = planning.make_plans(self.context, planners, lost, self.plans, hears_all)
@@ -487,11 +488,10 @@ class Decision(NamedTuple):
     def _begin_exchange(self) -> "Decision":
         heard = np.full_like(self.context.memory.clock, self.heard_clock)
         planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, heard)
-        planner = planners[self.number]
+        planner, decision = planners[self.number], self._replace(unreachable=tuple(unreachable))
         if self.context.mission.keeps_plans:
-            return self._enter(Bending(planner, unreachable, self.diameter))
-        return self._exchange(planner, unreachable)
+            return decision._enter(Bending(planner, self.diameter))
+        return decision._exchange(planner)
 
-    def _exchange(self, planner: Planner, unreachable: list[int]) -> "Decision":
-        reports = Flood(len(self.members), self.diameter)
-        return self._enter(Exchange(planner, unreachable, reports))
+    def _exchange(self, planner: Planner) -> "Decision":
+        return self._enter(Exchange(planner, Flood(len(self.members), self.diameter)))

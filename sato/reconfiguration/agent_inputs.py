@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from functools import lru_cache
 from math import ceil, floor, inf
-from numbers import Integral
 from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
@@ -62,7 +61,7 @@ def check_agent(mission: Reconfiguration, number: int) -> None:
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
-    if not _is_whole(number) or not 0 <= number <= most:
+    if not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
         raise ValueError(
             f"number must be a whole number from 0 to {most}{reason}, got {format_value(number)}"
@@ -90,10 +89,6 @@ def check_agent(mission: Reconfiguration, number: int) -> None:
 def list_doubts(mission: Reconfiguration) -> tuple[str, ...]:
     """List what `sato.run` warns of before it flies the same drawn mission."""
     return tuple(mission.warnings())
-
-
-def _is_whole(number: Any) -> bool:
-    return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
@@ -174,8 +169,6 @@ def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
         ValueError: It has something else.
     """
     kind = AgentMessage if is_ideal else AgentPacket
-    if isinstance(inbox, AgentMessage | AgentPacket) or not isinstance(inbox, Sequence):
-        raise ValueError(f"inbox must be a list of messages, got {type(inbox).__name__}")
     for message in inbox:
         if not isinstance(message, kind):
             raise ValueError(

@@ -115,7 +115,6 @@ class Exchange(NamedTuple):
     """Memory of an agent that exchanges trajectories."""
 
     planner: Planner
-    unreachable: list[int]  # the agent's number, if its target is
     flood: Flood
 
     @property
@@ -260,19 +259,15 @@ class Choosing(NamedTuple):
         own, round = self.message, self.round + 1
         last_change = max([self.last_change, *(message.last_change for message in inbox)])
         after = self._replace(round=round, last_change=last_change, neighbors=tuple(inbox))
-        ahead = (other for other in inbox if _goes_first(other, own))
+        # The one that follows its plan for a shorter time, or that of higher priority, stays.
+        turn = -own.choice, own.priority
+        ahead = (other for other in inbox if (-other.choice, other.priority) < turn)
         is_clear = all(keeps_clear(own.path, own.clearance, other) for other in ahead)
         is_clear = is_clear and all(map(after.keeps_clear_of_held, after.kept_below))
         if own.choice == self.offers.last or is_clear:
             return after
         choice = next_choice(self.offers.is_allowed[0], self.choice)
         return after._replace(choice=choice, last_change=round)
-
-
-def _goes_first(other: OfferMessage, own: OfferMessage) -> bool:
-    if other.choice == own.choice:
-        return other.priority < own.priority
-    return other.choice > own.choice
 
 
 def keeps_clear(path: Array, clearance: float, other: CommittedMessage | OfferMessage) -> bool:

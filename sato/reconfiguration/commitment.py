@@ -252,7 +252,9 @@ def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> Co
     left = {i for i in left if leaves_plan(plans[i], followed[i])}
     waits = find_waits(offers, context.graph, paths) if is_confirmed else (NOBODY, NOBODY)
     load = load.plus(_count_turns(context.graph, offers, cautious, improved))
-    load = load.plus(_count_evasions(context.graph, offers, size))
+    made, rounds = np.where(size > 0, 0, -1), context.graph.diameter
+    reports = count_flood(context.graph, np.where(size > 0, rounds, 0), made, size)
+    load = load.plus(Load.of(context.graph, np.flatnonzero(size), rounds, reports))
     return CommitmentChoice(done, followed, sorted(left), load, waits)
 
 
@@ -277,13 +279,6 @@ def _count_turns(
             messages[i], payload[i] = 1, REAL * d * improved[a]
     rounds = graph.diameter + turns[graph.component]
     return Load.of(graph, offers.agents, rounds, reports, (messages, payload))
-
-
-def _count_evasions(graph: CommunicationGraph, offers: Offers, size: Int[Array, " agents"]) -> Load:
-    """Count the load of reports of these sizes."""
-    made = np.where(size > 0, 0, -1)
-    reports = count_flood(graph, np.where(size > 0, graph.diameter, 0), made, size)
-    return Load.of(graph, np.flatnonzero(size), graph.diameter, reports)
 
 
 def find_waits(

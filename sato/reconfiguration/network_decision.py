@@ -73,12 +73,18 @@ class DecisionsUnderWay:
     enters: Int[Array, " agents"]  # rounds of the network in which they begin, by their clocks
     have_arrived: bool  # all agents, when it began
 
-    def finish(self, mission: Reconfiguration, stops: Int[Array, " agents"]) -> "Finished":
+    def finish(
+        self, mission: Reconfiguration, stops: Int[Array, " agents"]
+    ) -> tuple[list[Bool[Array, " agents"]], Bool[Array, " agents"]]:
         """Find out who gets through.
 
         Args:
             mission: Its link, and the rounds that decisions have.
             stops: Round in which each agent falls silent, NEVER if it does not.
+
+        Returns:
+            For each outcome the agents that take up what they have chosen; and those that have
+            heard of all in their component, or were lost.
         """
         ends = np.minimum(stops, self.enters + mission.decision_rounds)
         synchronizer = Synchronizer(self.channel, ends)
@@ -97,15 +103,7 @@ class DecisionsUnderWay:
             )
             chosen[~deciding] = NEVER
             through.append(confirm(synchronizer, chosen, outcome.waits) < ends)
-        return Finished(through, ~alive | (counted < ends))
-
-
-@dataclass(frozen=True, eq=False)
-class Finished:
-    """Ends of the decisions of an instant."""
-
-    through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
-    has_heard: Bool[Array, " agents"]  # of all in its component; true for those that were lost
+        return through, ~alive | (counted < ends)
 
 
 def confirm(

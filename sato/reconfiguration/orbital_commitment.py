@@ -12,7 +12,7 @@ in which that is so at the start, and plans are not clear of each other either, 
 
 from collections.abc import Sequence
 from math import ceil
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,6 +24,7 @@ from sato.network.encoding import CHOICE, CLEARANCE, REAL
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.reconfiguration.commitment import (
+    Choices,
     CommitmentChoice,
     are_clear,
     choose_offers,
@@ -227,8 +228,8 @@ def commit_in_orbit(
             near = graph.adjacency[offers.agents[row], offers.agents]
             clearance = (offers.clearance[row] + offers.clearance[near]) / 2
             offers = offer_detour(offers, row, each, offers.paths[near, -1], clearance)
-        choice, keeps, more = choose_in_orbit(offers, graph, rank_of(offers, own))
-        load = load.plus(more)
+        choice, more = choose_in_orbit(offers, graph, rank_of(offers, own))
+        keeps, load = choice == offers.last, load.plus(more)
         if context.instant == 0:
             check_start(offers, choice, graph)
         u = offers.u[np.arange(len(members)), choice]
@@ -255,18 +256,10 @@ def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
     )
 
 
-class OrbitalChoices(NamedTuple):
-    """Offers that agents have chosen in orbit."""
-
-    choice: Int[Array, " agents"]
-    keeps: Bool[Array, " agents"]  # True where an agent keeps what it has committed to
-    load: Load
-
-
 def choose_in_orbit(
     offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
-) -> OrbitalChoices:
-    """Let all agents agree on offers.
+) -> Choices:
+    """Let all agents agree on offers; the last is what an agent has committed to.
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
     """
@@ -278,7 +271,7 @@ def choose_in_orbit(
     choice[is_unclear & (choice == offers.last)] = 0
     own = offers.agents, int(offers.steps[0]), offers.paths[:1, 0].shape[-1]
     load = load.plus(_count_holding(graph, *own))
-    return OrbitalChoices(choice, choice == offers.last, load)
+    return Choices(choice, load)
 
 
 def _count_holding(

@@ -148,7 +148,8 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
     assert mission.passive_safety is not None and mission.orbital_period is not None
     model, dt, period = mission.linear_model, mission.step, mission.orbital_period
     duration = mission.passive_safety_time or FREE_ORBITS * period
-    swing = _perigee_rate(mission)
+    e = 0.0 if mission.chief is None else mission.chief.orbit.eccentricity
+    swing = float((1 + e) ** 2 / (1 - e**2) ** 1.5)  # rate of the chief at perigee over its mean
     h, longest = period / ceil(PIECES_PER_ORBIT * swing), period / (STEPS_PER_ORBIT * swing**2)
 
     def move(x: StateSamples, t: float, length: float) -> StateSamples:
@@ -161,9 +162,3 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
     distance = mission.passive_safety + DRIFT_ERROR * max(1.0, duration / period)
     piecewise = AvoidanceHorizon(plan, plan, distance)
     return DriftHorizon(piecewise, later, move, time, duration, distance)
-
-
-def _perigee_rate(mission: Reconfiguration) -> float:
-    """Return the angular rate of the chief at perigee, over its mean."""
-    e = 0.0 if mission.chief is None else mission.chief.orbit.eccentricity
-    return float((1 + e) ** 2 / (1 - e**2) ** 1.5)

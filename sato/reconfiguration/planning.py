@@ -1,5 +1,6 @@
 """Planning of trajectories: each agent alone, then conflict resolution among neighbors."""
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from math import ceil, inf, isfinite
 from typing import NamedTuple
@@ -80,7 +81,7 @@ def plan_trajectories(
 def make_plans(
     context: DecisionContext,
     planners: dict[int, Planner],
-    unreachable: list[int],
+    unreachable: Sequence[int],
     previous: Plans,
     hears_all: bool,
 ) -> tuple[Plans, list[Event]]:

@@ -77,13 +77,15 @@ def collect_variables(
         counts[event["leg"], live] = np.asarray(event["believed"])[live]
     elements = [mission.flown_plant.chief_elements(frame.time) for frame in frames]
     known = [chief for chief in elements if chief is not None]
+    received = frames[-1].received
+    messages, size = (None, None) if received is None else received
     return ReconfigurationVariables(
         target_position=position,
         target_velocity=velocity,
         targets_believed=counts,
-        purpose=None if frames[-1].received is None else np.array(PURPOSES),
-        received_messages=None if frames[-1].received is None else frames[-1].received[0],
-        received_bytes=None if frames[-1].received is None else frames[-1].received[1],
+        purpose=None if received is None else np.array(PURPOSES),
+        received_messages=messages,
+        received_bytes=size,
         element=np.array(CHIEF_ELEMENTS) if known else None,
         chief=np.array(known) if known else None,
     )

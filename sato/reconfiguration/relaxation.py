@@ -1,5 +1,7 @@
 """Constraints that plans do not satisfy, as events of the record."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sato.reconfiguration.mission import Reconfiguration
@@ -8,7 +10,7 @@ from sato.scp import FEASIBILITY_TOLERANCE, Planner
 
 
 def list_relaxations(
-    mission: Reconfiguration, planners: dict[int, Planner], unreachable: list[int]
+    mission: Reconfiguration, planners: dict[int, Planner], unreachable: Sequence[int]
 ) -> list[Event]:
     """List the agents for which constraints were relaxed.
 
@@ -30,7 +32,7 @@ def list_relaxations(
     events: list[Event] = [
         {"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())},
         {"kind": "braked", "agents": [i for i in planners if i in astray]},
-        {"kind": "infeasible", "agents": unreachable, "what": beyond},
+        {"kind": "infeasible", "agents": [*unreachable], "what": beyond},
         {"kind": "infeasible", "agents": failed, "what": blocked},
     ]
     return [event for event in events if event["agents"]]
