@@ -60,11 +60,8 @@ def schedule_turns(
 ) -> list[list[tuple[int, ...]]]:
     """Give each group one turn, one group of every component at a time, in ascending order.
 
-    The batched equivalent of a flood of the groups, which each agent then sorts.
-
-    Args:
-        graph: Communication graph.
-        groups: Agents of one component each, that act in the same turn.
+    The agents of a group are of one component, and act in the same turn. The batched equivalent
+    of a flood of the groups, which each agent then sorts.
     """
     queues: dict[int, list[tuple[int, ...]]] = {}
     for group in sorted(groups):

@@ -21,12 +21,7 @@ class Synchronizer:
     """Rounds of the network in which agents get through synchronous rounds."""
 
     def __init__(self, channel: Channel, stops: Rounds) -> None:
-        """Begin.
-
-        Args:
-            channel: Arrival of messages.
-            stops: Round of the network in which each agent falls silent, or its time is over.
-        """
+        """Begin; each agent stops in the round in which it falls silent, or its time is over."""
         self._channel, self._stops = channel, stops
         self._first_stop = int(stops.min(initial=NEVER))
         self._until = np.minimum(stops[channel.sender], stops[channel.receiver])

@@ -107,10 +107,7 @@ def needs_reset(
 ) -> Bool[Array, " agents"]:
     """Find the agents that call for a reset of their component's clock after an auction.
 
-    Args:
-        context: Rule of the resets, and memory before the auction.
-        counted: Bidders in the auction.
-        won_unreachable: True where an agent won a target out of its reach.
+    They counted so many bidders in it, and may have won targets out of their reach.
     """
     is_called, memory = won_unreachable, context.memory
     if context.mission.reset == "change":

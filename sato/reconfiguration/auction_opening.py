@@ -83,8 +83,7 @@ def forecast_opening(auction: VsdaaAuction) -> Opening:
 def has_dear_leftovers(price: Float[Array, "*agents targets"]) -> Bool[Array, "*agents"]:
     """Tell where a target that is left over is dearer than one that is taken, after an auction.
 
-    Args:
-        price: Signed, as each agent knows it.
+    Prices are signed, as each agent knows them.
     """
     is_taken = price > 0
     least = np.where(is_taken, price, np.inf).min(axis=-1)

@@ -31,12 +31,8 @@ class Places(NamedTuple):
 def find_places(context: DecisionContext, steps: int, escape: int) -> Places:
     """Return the places that agents would take up after some steps.
 
-    In orbit they move on with their targets, and elsewhere they rest.
-
-    Args:
-        context: Time, targets and surroundings.
-        steps: Steps until they arrive.
-        escape: Steps after that in which they could get out of the way of what moves.
+    In orbit they move on with their targets, and elsewhere they rest. For `escape` steps after
+    that they could get out of the way of what moves.
     """
     mission, around, targets = context.mission, context.surroundings, context.leg.targets
     assert around is not None

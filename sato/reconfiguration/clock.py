@@ -17,12 +17,8 @@ TIME_FACTOR = 1.5  # over the time that a late vehicle takes alone
 def set_back(context: DecisionContext, is_late: Bool[Array, " agents"]) -> Int[Array, " agents"]:
     """Return the clocks, set back for vehicles that are late.
 
-    Where plans are kept, each has the time in which it stops and flies to its target, and a half
-    more; elsewhere that of the whole leg.
-
-    Args:
-        context: States and clocks.
-        is_late: True for vehicles that cannot arrive in the time that is left.
+    These cannot arrive in the time that is left. Where plans are kept, each has the time in which
+    it stops and flies to its target, and a half more; elsewhere that of the whole leg.
     """
     clock, steps = np.where(is_late, 0, context.memory.clock), context.leg.steps
     if context.mission.has_own_clocks:

@@ -200,11 +200,6 @@ def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> Co
     """Commit the agents that have planned to trajectories that they have checked.
 
     Where decisions take time, agents commit once all that they could meet have confirmed it.
-
-    Args:
-        context: States, graph and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories.
     """
     if not plans:
         return CommitmentChoice({}, plans, [], Load.none(len(context.state)))

@@ -44,12 +44,7 @@ def drift_freely(
 ) -> Float[Array, "*agents pieces 4 d"]:
     """Return the control points of free motion from states on, by the model that agents plan by.
 
-    Args:
-        mission: Its model.
-        x: States at the first instant.
-        count: Number of pieces.
-        t: Time of the first instant [s].
-        h: Duration of a piece [s].
+    So many pieces of h [s] begin at a time t [s].
     """
     d = mission.axes
     states = simulate(mission, x, np.zeros((*x.shape[:-1], count, d)), t, h)
@@ -65,12 +60,7 @@ def simulate(
 ) -> StateSamples:
     """Return the states under held controls by the model that the agents plan by.
 
-    Args:
-        mission: Its model.
-        x: States at the first instant.
-        u: Controls, each held over a step.
-        t: Time of the first instant [s].
-        h: Duration of a step [s].
+    The first instant is t [s], and each control is held for a step of h [s].
     """
     if mission.nonlinear_model is not None:
         return simulate_nonlinear(mission.nonlinear_model, x, u, t, h)

@@ -178,10 +178,6 @@ def measure_round(link: Link, graph: CommunicationGraph) -> float:
     """Measure how many rounds of messages a synchronous round takes, on average.
 
     It is infinite where they are far more than can be of use.
-
-    Args:
-        link: Losses, delays and outages.
-        graph: Agents that wait for their neighbors.
     """
     if not (link.late or link.loses_messages):
         return 1.0

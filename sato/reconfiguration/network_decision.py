@@ -130,12 +130,7 @@ def confirm(
 
 
 def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> list[int]:
-    """Return by how many whole steps clocks are behind; nothing where none is.
-
-    Args:
-        mission: Its step and the largest difference of two clocks.
-        delay: Time by which each is behind [s].
-    """
+    """Return by how many whole steps clocks are behind by delays [s]; nothing where none is."""
     most = int(mission.link.skew / mission.step + 1e-9)
     return np.minimum(np.rint(delay / mission.step), most).astype(int).tolist() if most else []
 

@@ -58,11 +58,8 @@ def make_orbital_offers(
 ) -> tuple[Offers, dict[int, Detours]]:
     """Offer the plans of agents of one component, and what they have committed to.
 
-    Args:
-        context: States and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories; an agent without one drifts.
-        heard_clock: Clock with the most time left in their component, as it was announced.
+    An agent without a commitment drifts. `heard_clock` is the clock with the most time left in
+    their component, as it was announced.
     """
     mission, agents = context.mission, np.array(list(plans))
     held, clock, steps = _divide_time(context, plans, committed, heard_clock)
@@ -199,12 +196,7 @@ def commit_in_orbit(
 ) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
-    Args:
-        context: States, graph and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories.
-        previous: Plans before these.
-        clocks: Clock of each agent before it decided.
+    The clocks are those before they decided, and `previous` the plans before these.
     """
     done: Commitments = {}
     flown = dict(plans)

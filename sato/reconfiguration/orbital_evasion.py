@@ -141,14 +141,8 @@ def offer_detour(
 ) -> Offers:
     """Let an agent offer, in place of its plan, the first detour that is clear of all others.
 
-    Where it is too near to another already, the detour comes no nearer.
-
-    Args:
-        offers: Offers, with room for a detour.
-        row: Row of the agent.
-        detours: Its detours.
-        others: Control points of what those that it hears have committed to.
-        clearance: Distance to keep from each [m].
+    The others are what those that it hears have committed to. Where the agent is too near to one
+    already, the detour comes no nearer. The offers have room for a detour.
     """
     kept = hull_distance(offers.paths[row, -1] - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))

@@ -50,11 +50,8 @@ def check(mission: "Reconfiguration") -> None:
 def check_targets(mission: "Reconfiguration") -> None:
     """Refuse targets that do not keep the distance themselves for as long as drifts are to.
 
-    Args:
-        mission: A drawn mission.
-
     Raises:
-        InputError: Two targets of a leg do not.
+        InputError: Two targets of a leg of the drawn mission do not.
     """
     if mission.passive_safety is None:
         return
@@ -78,11 +75,8 @@ def check_targets(mission: "Reconfiguration") -> None:
 def check_network(mission: "Reconfiguration") -> None:
     """Refuse starts in several networks: a drift leads far, and nobody knows of another network.
 
-    Args:
-        mission: A drawn mission.
-
     Raises:
-        InputError: There are several.
+        InputError: Those of the drawn mission are.
     """
     if mission.passive_safety is None:
         return

@@ -63,11 +63,7 @@ def begin_passively_safe(
 ) -> dict[int, Planner]:
     """Let agents begin with the rests of their plans, or their solo trajectories, and drifts.
 
-    Args:
-        context: States, memory, graph and time.
-        planners: Planners of the agents.
-        previous: Plans that were flown so far.
-        clocks: Clock of each agent; all of a network look as far as the one with most time left.
+    All of a network look ahead as far as the one whose clock has most time left.
     """
     component, found = context.graph.component, dict[int, Planner]()
     for network in np.unique(component[list(planners)]):

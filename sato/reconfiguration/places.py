@@ -151,13 +151,7 @@ def _check_separation(
 ) -> None:
     """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
-    Args:
-        mission: The ellipsoid that two keep.
-        placed: Starts or targets [m].
-        occupied: Places of others [m].
-        radii: R of the vehicles at both [m].
-        noun: "agent" or "target", for the error.
-        first: Number of the first one.
+    The radii are those at both, and `first` is the number of the first that is placed.
 
     Raises:
         InputError: Two are too near.

@@ -12,13 +12,7 @@ from sato.scp import FEASIBILITY_TOLERANCE, Planner
 def list_relaxations(
     mission: Reconfiguration, planners: dict[int, Planner], unreachable: Sequence[int]
 ) -> list[Event]:
-    """List the agents for which constraints were relaxed.
-
-    Args:
-        mission: Tolerances of arrival and of separation.
-        planners: Planner of each agent, by its row.
-        unreachable: Agents whose targets are out of reach.
-    """
+    """List the agents for which constraints were relaxed, or whose targets are out of reach."""
     tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
     slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
     failed = [i for i, p in planners.items() if p.has_failed]

@@ -92,14 +92,8 @@ def solve_solo_transfers(
 ) -> tuple[list[Trajectory | None], int]:
     """Solve one transfer for many agents, and count the programs solved one by one.
 
-    Args:
-        transfer: Dynamics, the same for all or those of each, and limits.
-        start: States of the agents.
-        targets: Target of each.
-        solvers: Solver of each; the default where empty.
-
-    Returns:
-        Trajectories; None where the target is out of reach.
+    The dynamics are the same for all, or those of each. Trajectories are None where the target is
+    out of reach.
     """
     model, solvers = transfer.model, solvers or [solve_program] * len(start)
     if len(model) == 0:

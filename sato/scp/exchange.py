@@ -27,12 +27,7 @@ class ConflictResolution(NamedTuple):
 
 
 def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> ConflictResolution:
-    """Exchange trajectories until those of all agents are final.
-
-    Args:
-        planners: Planner of each agent, by its number.
-        graph: Communication graph.
-    """
+    """Exchange trajectories until those of all agents are final."""
     history = [dict(planners), *run_batched(planners, graph)]
     effort = len(history) - 1, count_solves(history[-1]), _count_load(history, graph)
     return ConflictResolution(history[-1], *effort)

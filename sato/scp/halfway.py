@@ -43,10 +43,7 @@ def meet_halfway(
     """Let all agents bend their paths and solve for trajectories; count rounds with a change.
 
     The batched equivalent of `halfway_stages`: agents that have nothing to change are left out.
-
-    Args:
-        planners: Planner of each agent, by its number; of horizons with equal steps.
-        graph: Communication graph.
+    All horizons have equal steps.
     """
     spread = [dict(planners), spread_all(dict(planners), graph)]
     bends = _repeat(MAX_BENDS, bend_all, spread[-1], graph)

@@ -78,12 +78,9 @@ class Negotiator(NamedTuple):
 def negotiate(
     planners: Mapping[int, Planner], graph: CommunicationGraph, sweeps: int
 ) -> ConflictResolution:
-    """Let every two nearby agents negotiate once a sweep.
+    """Let every two nearby agents negotiate once a sweep, by final trajectories of all.
 
-    Args:
-        planners: Planner of each live agent, by its number, with a final trajectory.
-        graph: Communication graph.
-        sweeps: Largest number of sweeps; fewer in a component where the last one saved little.
+    There are fewer sweeps in a component where the last one saved little.
     """
     now, rounds, solves, load = dict(planners), 0, 0, Load.none(len(graph.alive))
     flooding = int(graph.diameter[list(now)].max(initial=0))
@@ -160,13 +157,7 @@ def _nominal_points(agent: Planner) -> Float[Array, "pieces 4 d"]:
 def negotiate_pairs(
     planners: Mapping[int, Planner], graph: CommunicationGraph, turn: Mapping[int, int]
 ) -> dict[int, Negotiator]:
-    """Run one turn by messages: trajectories, then offers, then agreements.
-
-    Args:
-        planners: Planner of each agent, by its number.
-        graph: Communication graph.
-        turn: Partner of each agent whose turn it is.
-    """
+    """Run one turn of partners by messages: trajectories, then offers, then agreements."""
     states = {i: Negotiator(planners[i], partner) for i, partner in turn.items()}
     trajectories = {i: agent.message for i, agent in planners.items()}
     states = run_round(graph, states, _make_offer, trajectories)

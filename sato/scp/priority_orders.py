@@ -31,10 +31,8 @@ def try_priority_orders(
 ) -> ConflictResolution:
     """Run Method 2 under several orders of priority; each component keeps its cheapest.
 
-    Args:
-        planners: Planner of each agent, by its number; the first order is that of `priority`.
-        graph: Communication graph.
-        orders: Largest number of orders; fewer where no agent of a component has a cost.
+    The first order is that of `priority`. There are fewer where no agent of a component has a
+    cost.
     """
     kept, rounds, solves, load = run_scp(planners, graph)
     tried = kept

@@ -79,12 +79,9 @@ def solve_roundabout(
 ) -> ConflictResolution:
     """Solve in turns, all offset to one side, until all are clear and reach their targets.
 
-    Components in which that is not so after `MAX_ROUNDS` are left out of the result.
-
-    Args:
-        planners: Agents of whole components, by number, that can use a roundabout.
-        graph: Communication graph.
-        offset: Offset of the nominals over R: to the right, or to the left where negative.
+    The agents are those of whole components, which can use a roundabout. Components in which
+    they are not clear after `MAX_ROUNDS` are left out of the result. The offset of the nominals
+    is over R: to the right, or to the left where negative.
     """
     now = {i: priority_orders.offset_right(agent, offset) for i, agent in planners.items()}
     done: dict[int, Planner] = {}

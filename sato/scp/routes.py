@@ -53,13 +53,7 @@ def go_around(agent: Planner) -> Planner:
 def find_route(
     start: Float[Array, " d"], target: Float[Array, " d"], obstacles: ObstaclePaths
 ) -> Float[Array, "corners d"] | None:
-    """Find the shortest way of straight lines around obstacles at rest; None where none is found.
-
-    Args:
-        start: Where it begins [m].
-        target: Where it ends [m].
-        obstacles: Obstacles.
-    """
+    """Find the shortest way of straight lines around obstacles at rest; None without any."""
     ends = np.stack([start, target])
     if segments_clear(ends[:1], ends[1:], obstacles)[0]:
         return ends
