@@ -18,6 +18,8 @@ ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 FAR = 2**30  # hops between two components
 WORD = 64  # bits
 
+Pairs = tuple[Int[Array, " pairs"], Int[Array, " pairs"]]  # both of each
+
 
 @checked
 @dataclass(frozen=True, eq=False)
@@ -99,14 +101,12 @@ class CommunicationGraph:
         return i, j
 
     @cached_property
-    def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    def pairs(self) -> Pairs:
         """Both agents of each pair of neighbors, the one of lower number first, in order."""
         i, j = self.edges
         return i[i < j], j[i < j]
 
-    def pairs_among(
-        self, agents: Int[Array, " some"]
-    ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    def pairs_among(self, agents: Int[Array, " some"]) -> Pairs:
         """Return the pairs of neighbors among some agents, by their places in the list."""
         most = len(self.alive) - 1
         if len(agents) and not 0 <= np.min(agents) <= np.max(agents) <= most:

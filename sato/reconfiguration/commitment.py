@@ -24,7 +24,7 @@ from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated
 from sato.network.encoding import CHOICE, CHOICE_REPORT, PRIORITY, REAL
-from sato.network.graph import CommunicationGraph
+from sato.network.graph import CommunicationGraph, Pairs
 from sato.network.load import Load, count_flood, count_messages, mark_changes
 from sato.reconfiguration.evasion import (
     ROUNDING,
@@ -193,7 +193,7 @@ class CommitmentChoice(NamedTuple):
     cautious: list[int]  # agents that could not commit to their plans
     load: Load
     # Pairs of neighbors in which the first commits only once it knows that the second does.
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+    waits: Pairs = (NOBODY, NOBODY)
 
 
 def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> CommitmentChoice:
@@ -278,7 +278,7 @@ def _count_turns(
 
 def find_waits(
     offers: Offers, graph: CommunicationGraph, paths: Float[Array, "agents pieces 4 d"]
-) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+) -> Pairs:
     """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
     i, j = graph.pairs_among(offers.agents)
     i, j, held = np.append(i, j), np.append(j, i), offers.held_paths

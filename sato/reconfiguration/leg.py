@@ -38,11 +38,10 @@ def longest_leg(steps: int, lag_steps: int) -> int:
     return most + -most % lag_steps if lag_steps else most
 
 
-Steps = Amount
 if TYPE_CHECKING:
     Duration = int  # once the mission is drawn
 else:
-    Duration = Steps | Literal["auto"]
+    Duration = Amount | Literal["auto"]
 Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
 

@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.network.flooding import census_rounds
-from sato.network.graph import CommunicationGraph
+from sato.network.graph import CommunicationGraph, Pairs
 from sato.network.load import Load
 from sato.network.synchronizer import Synchronizer
 from sato.reconfiguration.commitment import NOBODY
@@ -43,7 +43,7 @@ class Outcome:
     blocked: Bool[Array, "agents targets"] | None  # targets that were left out
     loads: tuple[Load, ...]  # of each purpose, after the census
     # Pairs of which the first commits only once it knows that the second does.
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+    waits: Pairs = (NOBODY, NOBODY)
 
     def of(self, some: Bool[Array, " agents"]) -> "Outcome":
         """Return what some of the agents have decided, with the events that are theirs."""
@@ -107,9 +107,7 @@ class DecisionsUnderWay:
 
 
 def confirm(
-    synchronizer: Synchronizer,
-    chosen: Int[Array, " agents"],
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]],
+    synchronizer: Synchronizer, chosen: Int[Array, " agents"], waits: Pairs
 ) -> Int[Array, " agents"]:
     """Return the round in which each agent says that it commits; NEVER if it does not.
 

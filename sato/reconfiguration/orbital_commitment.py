@@ -42,7 +42,7 @@ from sato.reconfiguration.orbital_evasion import (
     make_room,
     offer_detour,
 )
-from sato.reconfiguration.passive_safety import offer_drifts
+from sato.reconfiguration.passive_safety import OfferedDrifts, make_horizon
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
@@ -75,7 +75,10 @@ def make_orbital_offers(
     begun = context.step_index if mission.assignment == "given" else clock
     arrival = context.instant + context.leg.steps - begun
     free = free_motion(mission, context.leg, arrival)
-    flights = Flights(mission, horizon, context.time, *free)
+    flights, drifts = Flights(mission, horizon, context.time, *free), None
+    if mission.is_passively_safe:
+        drifting = make_horizon(mission, context.time, steps)
+        drifts = OfferedDrifts(drifting, drifting.follow(x, u))
     offers = Offers(
         agents=agents,
         plan_steps=(steps, 0),
@@ -85,7 +88,7 @@ def make_orbital_offers(
         paths=flights.follow(x, u, end),
         is_allowed=np.ones((len(agents), 2), dtype=bool),
         clearance=mission.own_clearances(horizon.clearance, agents),
-        drifts=offer_drifts(context, steps, x, u),
+        drifts=drifts,
     )
     if not mission.has_surroundings:
         return offers, {}

@@ -45,16 +45,6 @@ class OfferedDrifts(NamedTuple):
         return np.array([is_safe(a, b) and is_safe(b, a) for a, b in pairs], dtype=bool)
 
 
-def offer_drifts(
-    context: DecisionContext, steps: int, x: Float[Array, "agents 2 _ n"], u: Array
-) -> OfferedDrifts | None:
-    """Return the drifts of trajectories over some steps; None where nobody looks at them."""
-    if not context.mission.is_passively_safe:
-        return None
-    horizon = make_horizon(context.mission, context.time, steps)
-    return OfferedDrifts(horizon, horizon.follow(x, u))
-
-
 def begin_passively_safe(
     context: DecisionContext,
     planners: dict[int, Planner],

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -246,9 +246,7 @@ def drifts_of(messages: Sequence[TrajectoryMessage]) -> dict[int, Drifts]:
     return {m.priority[2]: m.drifts for m in messages if m.drifts is not None}
 
 
-def pair_clearances(
-    messages: Sequence[TrajectoryMessage], clearance: float
-) -> Float[Array, " others"]:
+def pair_clearances(messages: Sequence[Any], clearance: float) -> Float[Array, " others"]:
     """Compute the clearance from each sender, the mean of both: (R_i + R_j)/2 and the margins."""
     return (np.array([message.clearance for message in messages], dtype=float) + clearance) / 2
 
