@@ -57,13 +57,9 @@ def assign_targets(
 
     A clock is also reset where an agent won a target out of its reach; a mission may have it
     that this is the only reason. A component whose clock is reset bids again, with the time
-    that it now has.
-
-    Args:
-        context: States, memory and graph of the agents that decide.
-        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
-            without a plan.
-        heard: Clock with the most time left of those that plan again in each agent's component.
+    that it now has. The planned cost is the fuel or energy left in the plan to the target that
+    each holds, infinite without a plan; and the clock that is heard that with the most time left
+    of those that plan again in each agent's component.
     """
     heard = context.memory.clock if heard is None else heard
     waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))

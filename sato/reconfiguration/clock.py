@@ -42,12 +42,8 @@ def wait(
     Where plans are kept, those that have arrived take the one for which they wait, so that they can
     make room for others and return. Those that have found no way to their targets do not lose the
     time until they look again. In orbit, where targets move on, all take the one for which they
-    wait, so that they arrive together.
-
-    Args:
-        context: Clocks.
-        heard: Clock with the most time left of those that plan again in each one's component.
-        has_plan: True for vehicles with a plan that leads to their targets.
+    wait, so that they arrive together. That is the clock with the most time left of those that plan
+    again in each one's component, as it is heard.
     """
     clock, mission, steps = context.memory.clock, context.mission, context.leg.steps
     later = np.minimum(heard, clock)

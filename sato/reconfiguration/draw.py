@@ -173,13 +173,9 @@ def is_drawn(mission: Reconfiguration) -> bool:
 
 
 def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> Leg:
-    """Draw the targets of a leg that is no part of a drawn mission.
+    """Draw the targets of a leg that is no part of a drawn mission, and has no losses and joins.
 
-    Args:
-        mission: A drawn mission.
-        leg: The leg, without losses and joins.
-        demand: Least number of targets.
-        instant: Control instant at which the leg begins.
+    It begins at a control instant, and has as many targets as the demand, or more.
 
     Raises:
         InputError: There are too few targets, they are too close for the margin, or the number

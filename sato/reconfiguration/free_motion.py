@@ -22,13 +22,9 @@ PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
 def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, float]:
     """Return into how many pieces the free motion that is checked is divided, and their length [s].
 
+    It begins at the arrival, the instant at which vehicles take up the targets of the drawn leg.
     It ends where the targets do not keep their distance themselves: after two orbits, or sooner
     where their motion is not bounded. Without an orbit it lasts as long as the leg.
-
-    Args:
-        mission: A drawn mission.
-        leg: Its leg.
-        arrival: Instant at which vehicles take up its targets.
     """
     period = mission.orbital_period
     h = mission.step if period is None else period / PIECES_PER_ORBIT

@@ -111,10 +111,8 @@ def confirm(
 ) -> Int[Array, " agents"]:
     """Return the round in which each agent says that it commits; NEVER if it does not.
 
-    Args:
-        synchronizer: Arrival of messages.
-        chosen: Round in which each has chosen.
-        waits: Pairs of which the first waits until it hears that of the second.
+    Each has chosen in a round before. Of the pairs that wait, the first waits until it hears that
+    of the second.
     """
     first, second = waits
     promised, edge = chosen.copy(), synchronizer.find_edges(second, first)
@@ -145,10 +143,7 @@ def foresee(
 ) -> DecisionContext:
     """Return the context in which agents find themselves when they take up a decision.
 
-    Args:
-        context: The context now.
-        committed: Commitments that are flown until then.
-        has_begun: True where its clock runs.
+    Until then they fly what they have committed to, and their clocks run where these have begun.
     """
     mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings
     each, instant = range(len(context.state)), context.instant

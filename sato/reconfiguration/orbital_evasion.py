@@ -65,13 +65,8 @@ def list_detours(
 ) -> Detours:
     """List trajectories that pass all bodies that an agent knows, within its limits.
 
-    Args:
-        flights: Horizon, and free motion after it.
-        agent: Number of the agent.
-        state: State of the agent.
-        u: Controls that it would change.
-        path: Control points of its trajectory by these, to the end of the free motion.
-        known: Bodies, over as many pieces as the agent looks ahead.
+    They change the controls u, by which the agent would fly the path, to the end of the free
+    motion. The bodies are known over as many pieces as the agent looks ahead.
     """
     mission, ahead, d = flights.mission, known.paths.shape[1], flights.mission.axes
     gap = measure_gaps(path[:ahead] - known.paths, known)[0]

@@ -146,11 +146,8 @@ def plan_alone(
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Plan for every agent that decides as if it were alone.
 
-    Args:
-        context: States, memory and graph of the agents that decide.
-        spent: Fuel or energy spent so far.
-        previous: Plans that were flown so far.
-        heard_clock: Clock with the most time left in each agent's component, as it was announced.
+    `heard_clock` is the clock with the most time left in each agent's component, as it was
+    announced.
 
     Returns:
         Planners, agents whose targets are out of reach, and the number of programs solved.

@@ -137,13 +137,8 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
     that it can.
 
-    Args:
-        where: Key of the steps, for the error.
-        departure: Vehicles at the start of the leg.
-        targets_after: States to reach after a number of steps.
-
     Raises:
-        InputError: No number of steps is enough.
+        InputError: No number of steps is enough; the key of the steps is `where`.
     """
     search, longest = (
         _Search(departure, targets_after, AUTOMATIC_TIME),

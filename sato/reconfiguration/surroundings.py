@@ -129,13 +129,9 @@ class Surroundings(NamedTuple):
 
 
 def count_escape_steps(mission: Reconfiguration, size: float) -> int:
-    """Count the steps in which vehicles get out of the way of what moves.
+    """Count the steps in which vehicles get out of the way of what moves, of a radius [m].
 
     From rest, twice as far as it is wide, at the least control, and two decisions.
-
-    Args:
-        mission: Limits of the vehicles.
-        size: Radius of what moves [m].
     """
     way = ESCAPE_FACTOR * 2 * (size + mission.largest_separation)
     U, V = mission.least_braking, float(mission.top_speeds.min())

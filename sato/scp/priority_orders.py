@@ -78,11 +78,8 @@ def raise_priority(agent: Planner, tried: Planner) -> Planner:
 def offset_right(agent: Planner, offset: float) -> Planner:
     """Bend the nominal of an agent in the plane to the right of its solo trajectory.
 
-    Agents that begin with a previous plan keep it, and with it the side on which they pass.
-
-    Args:
-        agent: Planner before the first exchange.
-        offset: Largest displacement, halfway, over R; to the left where negative.
+    Agents that begin with a previous plan keep it, and with it the side on which they pass. The
+    offset is the largest displacement, halfway, over R; to the left where negative.
     """
     pieces, points, d = agent.control_points.shape
     way = agent.control_points[-1, -1] - agent.control_points[0, 0]
