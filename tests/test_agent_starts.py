@@ -33,7 +33,7 @@ def test_agents_with_their_commitments_fly_from_motion_as_the_loop_does():
     assert least >= mission.collision_radius
 
 
-def test_missions_that_are_not_drawn_need_first_commitments_in_motion_alone():
+def test_mission_at_rest_has_first_commitments_before_it_is_drawn():
     limits = {"model": sato.DoubleIntegrator(2), "max_control": 0.5, "max_speed": 1.0}
     limits |= {"comm_radius": 20.0, "collision_radius": 1.0, "step": 1.0}
     legs = (sato.Leg(np.array([[0.0, 5.0], [5.0, 5.0]]), 20),)

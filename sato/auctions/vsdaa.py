@@ -171,7 +171,7 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
     """
     state = init_state(auction.cost, auction.graph, auction.target_count, auction.opening)
     dropped: list[BidLog] = []
-    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped=dropped):
+    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped):
         pass
     stopped = np.where(auction.graph.alive, state.last_news_round + state.patience, 0)
     return VsdaaResult(
@@ -323,8 +323,8 @@ def run_kernel(
     state: VsdaaState,
     epsilon: float,
     bidder_ids: bool,
+    dropped: list[BidLog],
     stride: int = 2**62,
-    dropped: list[BidLog] | None = None,
 ) -> Iterator[None]:
     """Run all rounds in which something happens, pausing after every `stride` of them.
 
@@ -339,16 +339,14 @@ def run_kernel(
         before, last_round = int(state.round[0]), int(state.round[0]) + stride
         rules = last_round, float(epsilon), bidder_ids
         while (outcome := _advance(*rules, state, log)) == LOG_FULL:
-            if dropped is not None:
-                dropped.append(log.select(int(log.size[0])))
+            dropped.append(log.select(int(log.size[0])))
             log = _make_room(state, log)
         if outcome < 0:
             raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
         if state.round[0] > before:
             yield
         if outcome == DONE:
-            if dropped is not None:
-                dropped.append(log.select(int(log.size[1])))
+            dropped.append(log.select(int(log.size[1])))
             return
 
 

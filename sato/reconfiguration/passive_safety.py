@@ -92,8 +92,10 @@ def _follow_nominals(
         controls = np.stack([u[i] for i in agents])
         if is_new:
             x = np.stack([planners[i].solo.x for i in agents])
-        else:
-            x = _fly_on(context, agents, controls)
+        else:  # along the rests of their plans
+            fine, h = np.repeat(controls, FINE_STEPS, axis=1), context.mission.step / FINE_STEPS
+            x = simulate(context.mission, context.state[agents], fine, context.time, h)
+            x = x[:, ::FINE_STEPS]
         followed = horizon.follow(x, controls)
         for row, i in enumerate(agents):
             fuel = float(compute_spent(context.mission, u[i]))
@@ -109,15 +111,6 @@ def _foresee(
     path, T = np.zeros_like(own.path), horizon.steps.steps
     path[T:] = arrivals[target] if target >= 0 else own.path[T:]
     return Drifts(path, np.where((horizon.step == 0)[:, None, None], own.drifts, 0.0))
-
-
-def _fly_on(
-    context: DecisionContext, agents: list[int], u: Float[Array, "agents T m"]
-) -> Float[Array, "agents _ n"]:
-    """Return the states of agents along the rests of their plans."""
-    mission, fine = context.mission, np.repeat(u, FINE_STEPS, axis=1)
-    h = mission.step / FINE_STEPS
-    return simulate(mission, context.state[agents], fine, context.time, h)[:, ::FINE_STEPS]
 
 
 def follow_targets(

@@ -66,7 +66,7 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     whole = whole if R.any() else 1
     model = mission.discretize(whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
-    wrong = _believed_covariance(mission) if R.any() else W
+    wrong = _acceleration_covariance(mission, is_believed=True) if R.any() else W
     for k in range(whole):
         s, c = (_largest_sigmas(_spread(model[k:], one, W, period))[0] for one in (P, first))
         kept = (2 * GATE_SIGMAS + two) * s
@@ -77,14 +77,12 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     return most
 
 
-def _acceleration_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
-    return np.asarray(np.eye(mission.axes) * largest_disturbance(mission) ** 2)
-
-
-def _believed_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
-    """Return the same with the errors of the model, by which agents filter their measurements."""
-    wrong = model_acceleration(mission) ** 2 * np.eye(mission.axes)
-    return np.asarray(_acceleration_covariance(mission) + wrong)
+def _acceleration_covariance(
+    mission: Reconfiguration, is_believed: bool = False
+) -> Float[Array, "d d"]:
+    """Return that of disturbances; and of the model's errors, as agents filter measurements."""
+    wrong = model_acceleration(mission) ** 2 if is_believed else 0.0
+    return np.asarray(np.eye(mission.axes) * (largest_disturbance(mission) ** 2 + wrong))
 
 
 def _spread(model: DiscreteModel, P: Array, W: Array, steps: int) -> Float[Array, "n n"]:
@@ -249,7 +247,7 @@ def _final_covariance(mission: Reconfiguration, steps: int) -> Float[Array, "n n
     P = R = measurement_covariance(mission)
     if R.any():
         model = mission.discretize(steps)
-        W = _believed_covariance(mission)
+        W = _acceleration_covariance(mission, is_believed=True)
         for k in range(steps):
             P = correct(spread(model, k, P, W), R)
     return P
