@@ -343,18 +343,15 @@ class Decision(NamedTuple):
         heard_clock = min(hello.clock for hello in reports)
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
         if not (has_joined or is_new or any(hello.is_auction_due for hello in reports)):
-            kept = decision._keep_targets() if bids_on_change(mission) else decision
-            return kept._begin_exchange()
+            if bids_on_change(mission):  # all claim again what they hold, as in `claim_targets`
+                target = self.context.memory.claimed_target[self.number, list(members)]
+                decision = decision._claim(dict(zip(members, target.tolist(), strict=True)))
+            return decision._begin_exchange()
         if mission.assignment == "given":
             return decision._take_given(reports)._begin_exchange()
         known, i = find_all_blocked(self.context), self.number
         blocked = () if known is None else tuple(np.flatnonzero(known[i]).tolist())
         return decision._replace(blocked=blocked)._share_clock()._announce_terms("first")
-
-    def _keep_targets(self) -> "Decision":
-        """Claim again the targets that all hold, as `claim_targets`."""
-        target = self.context.memory.claimed_target[self.number, list(self.members)]
-        return self._claim(dict(zip(self.members, target.tolist(), strict=True)))
 
     def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""

@@ -174,16 +174,13 @@ class _Flight:
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
         is_due = any(at_step > k for _, at_step in self.mission.joining(self.leg_index))
-        if is_due or self._are_joins_passed():
+        # It may be something that passes, and no agent, for which one waits to join.
+        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
+        if is_due or not all(map(nobody.has_room, self.waiting)):
             return np.zeros(1, dtype=bool)
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
         return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
-
-    def _are_joins_passed(self) -> bool:
-        """Tell whether it is something that passes, and no agent, for which one waits to join."""
-        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
-        return not all(map(nobody.has_room, self.waiting))
 
     @property
     def _traffic(self) -> Traffic:

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.pair_reach import (
+    STEP_TIME,
     Budget,
     ControlBounds,
     Undecided,
@@ -124,7 +125,8 @@ class _Search:
         try:
             targets = self.targets_after(steps)
             if not are_at_rest(departure, targets):
-                self.budget.spend_on_model(departure, steps)
+                is_fixed = departure.mission.linear_model.is_time_invariant
+                self.budget.spend(STEP_TIME[is_fixed] * steps)
             own = steps, factor, self.bounds, self.budget
             return find_stranded(departure, targets, *own) is None
         except Undecided as undecided:
