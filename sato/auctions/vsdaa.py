@@ -192,13 +192,10 @@ def _count_news(state: "VsdaaState", logs: Sequence["BidLog"]) -> dict[str, Int[
 
     A bid changes what an agent knows if it arrives before every newer one on its target.
     """
-    agent, round, target, winner, price = (
-        np.concatenate(parts) for parts in list(zip(*logs, strict=True))[:5]
-    )
+    columns = [np.concatenate(parts) for parts in list(zip(*logs, strict=True))[:5]]
+    _, _, target, winner, price = columns
     order = np.lexsort((winner, -np.abs(price), target))  # of each target the newest first
-    agent, round, target, winner, price = (
-        part[order] for part in (agent, round, target, winner, price)
-    )
+    agent, round, target, winner, price = (column[order] for column in columns)
     is_other, is_same = np.ones((2, len(agent)), dtype=bool)
     is_other[1:] = target[1:] != target[:-1]
     is_same[1:] = (price[1:] == price[:-1]) & (winner[1:] == winner[:-1]) & ~is_other[1:]

@@ -135,15 +135,8 @@ class Decision(NamedTuple):
     ) -> "Decision":
         """Begin with the census.
 
-        Args:
-            number: Number of the agent.
-            context: State, memory and graph of the agent alone.
-            plans: Empty, or the plan of the agent.
-            committed: Empty, or what the agent has committed to.
-            spent: Fuel or energy spent so far.
-            leg: Instant at which the leg began, and a checksum of its targets.
-            joins: True where the agent calls for an auction at once.
-            has_arrived: True where it has arrived at its target.
+        The leg is given by the instant at which it began, and a checksum of its targets. An agent
+        that joins calls for an auction at once.
         """
         memory = context.memory
         due, auction_due = is_planning_due(context, plans), is_auction_due(context, plans)

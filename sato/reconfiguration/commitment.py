@@ -68,15 +68,9 @@ def choose_offers(
 
     All begin with their best. While two are not clear, the one that follows its plan for longer
     takes its next choice, or that of lower rank where both do as long. So at the end all are clear
-    that were not committed already.
+    that were not committed already. With `is_confirmed`, one of higher rank also keeps clear of
+    what one of lower rank has committed to, and may go on flying.
     The batched equivalent of `agent_stages.Choosing`.
-
-    Args:
-        offers: Offers of all.
-        graph: Communication graph.
-        rank: Place of each in the order of priorities.
-        is_confirmed: True where one of higher rank also keeps clear of what one of lower rank has
-            committed to, and may go on flying.
     """
     i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last

@@ -53,9 +53,7 @@ def simulate(
 ) -> Iterator[state.ReconfigurationFrame]:
     """Simulate every leg of a drawn mission; yield a frame at every control instant.
 
-    Args:
-        mission: A drawn mission.
-        rng: Draws losses, disturbances and noise.
+    The generator draws losses, disturbances and noise.
     """
     flight = _Flight(mission, rng)
     for number in range(len(mission.legs)):

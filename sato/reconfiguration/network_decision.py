@@ -78,9 +78,7 @@ class DecisionsUnderWay:
     ) -> tuple[list[Bool[Array, " agents"]], Bool[Array, " agents"]]:
         """Find out who gets through.
 
-        Args:
-            mission: Its link, and the rounds that decisions have.
-            stops: Round in which each agent falls silent, NEVER if it does not.
+        An agent falls silent in a round, NEVER if it does not.
 
         Returns:
             For each outcome the agents that take up what they have chosen; and those that have

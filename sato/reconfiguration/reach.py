@@ -44,11 +44,8 @@ def check_reach(
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
 
     Where neither bounds nor the programs of some seconds decide, the mission is not refused. What
-    would do is found by bounds and such programs too, and proven: less may be enough.
-
-    Args:
-        mission: A drawn mission.
-        targets_after: States to reach in a leg after a number of steps, where they depend on it.
+    would do is found by bounds and such programs too, and proven: less may be enough. States to
+    reach in a leg are given after a number of steps, where they depend on it.
 
     Raises:
         InputError: An agent can reach none of the targets that it bids on, or too few of them

@@ -28,12 +28,7 @@ def solve_solo_trajectories(
 
     The shared linear model comes first; where the dynamics are nonlinear, the trajectories are
     linearized about that solution once more, after which the remaining error is negligible.
-
-    Args:
-        context: States, memory and time.
-        model: Shared model over the steps that remain.
-        agents: Numbers of the agents.
-        previous: Remaining controls of each agent's previous plan, if they still reach its target.
+    Previous plans are given by their remaining controls, if they still reach the targets.
 
     Returns:
         Each agent's own dynamics, and its trajectory; the numbers of those that neither a
