@@ -109,11 +109,8 @@ def mark_changes(
 ) -> Bool[Array, "agents rounds"]:
     """Mark the rounds after which agents know of a later change than before.
 
-    Args:
-        graph: Communication graph.
-        rounds: Rounds of the stage.
-        changes: Agents that changed something, and in which round.
-        first: Round of a change of which all know at first.
+    Changes are the agents that changed something, and in which round. Of a change in the round
+    `first` all know at first.
     """
     speaks = np.zeros((len(rounds), int(rounds.max(initial=0))), dtype=bool)
     _mark_changes(graph.hops, rounds, *changes, first, speaks)

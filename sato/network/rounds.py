@@ -43,11 +43,8 @@ def run_round(
 ) -> dict[int, Result]:
     """Let each of these agents act once, on the messages of its neighbors.
 
-    Args:
-        graph: Communication graph.
-        states: Memory of each agent that acts, by its number.
-        update: Pure function of one agent's memory and inbox, most often its new memory.
-        messages: Message of each agent that has sent one, by its number.
+    The update is a pure function of one agent's memory and inbox, most often its new memory. An
+    agent that has sent no message has none under its number.
     """
     return {
         i: update(state, [messages[j] for j in graph.neighbors[i] if j in messages])

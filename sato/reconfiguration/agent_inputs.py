@@ -1,6 +1,7 @@
 """Inputs of one agent, checked: its number, its state, the time and its inbox."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from math import ceil, floor, inf
 from typing import Annotated, Any, NamedTuple
@@ -128,15 +129,13 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
         ValueError: It is not as many finite numbers as the model has states.
     """
     n = 2 * mission.axes
-    try:
+    with suppress(InputError):
         array = as_array(to_plain(state, "m", STATES), 1)
-    except InputError:
-        array = np.zeros(0)
-    if array.shape != (n,) or not np.isfinite(array).all():
-        raise ValueError(
-            f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
-        )
-    return array
+        if array.shape == (n,):
+            return array
+    raise ValueError(
+        f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
+    )
 
 
 def check_seen(mission: Reconfiguration, seen: Sequence[Sensed]) -> list[Sensed]:
@@ -158,12 +157,9 @@ def check_seen(mission: Reconfiguration, seen: Sequence[Sensed]) -> list[Sensed]
 
 
 def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
-    """Return an inbox, which has nothing but messages of other agents.
+    """Return what an agent heard, which is nothing but messages of other agents.
 
-    Args:
-        number: Number of the agent.
-        inbox: All that it heard.
-        is_ideal: True where no message is lost or late; else they come in packets.
+    They come in packets where messages are lost or late.
 
     Raises:
         ValueError: It has something else.
@@ -188,11 +184,8 @@ def select_messages(
 ) -> list[AgentMessage]:
     """Return the messages of an agent's own instant and stage, by the number of the sender.
 
-    Args:
-        number: Number of the agent.
-        now: Its own last message.
-        inbox: All messages that it heard.
-        heard: Agents that it heard in the round before; None in the first round of an instant.
+    Its own last message tells these. In the first round of an instant, no agents were heard in the
+    round before (None).
 
     Raises:
         ValueError: A sender is ahead of the agent, sent twice, sent something else than the agent,

@@ -165,10 +165,9 @@ def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, fact
 
 def is_drawn(mission: Reconfiguration) -> bool:
     """Return True where all chance is drawn and every automatic value is a number."""
-    numbers = mission.margin, mission.position_tolerance, mission.velocity_tolerance
-    shapes = [leg.shape for leg in mission.legs]
-    return not any(value is None or is_auto(value) for value in numbers) and all(
-        isinstance(shape, Points) and shape.velocities is not None for shape in shapes
+    has_tolerances = None not in (mission.position_tolerance, mission.velocity_tolerance)
+    return (mission.has_margin and has_tolerances) and all(
+        isinstance(leg.shape, Points) and leg.shape.velocities is not None for leg in mission.legs
     )
 
 

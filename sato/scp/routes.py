@@ -105,12 +105,9 @@ def build_roadmap(
     corners: Float[Array, "obstacles corners d"],
     clearance: Float[Array, " obstacles"],
 ) -> Roadmap:
-    """Build the roadmap among obstacles at rest.
+    """Build the roadmap among obstacles at rest: of a point and corners from it [m] each.
 
-    Args:
-        place: Point of each obstacle [m].
-        corners: Corners from that point [m].
-        clearance: Distance to keep from each [m].
+    A distance is kept from each [m].
     """
     d = place.shape[1]
     ways = polytope_about_ball(d)
