@@ -42,7 +42,13 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     if own_motion.is_own_model(mission.model):
         length = UNKNOWN_STEPS if is_auto(mission.legs[0].steps) else mission.legs[0].steps
         own_motion.check_authority(type(mission.model).__name__, mission.discretize(length))
-    mission = _with_placeholders(mission)
+    fewest = [
+        replace(leg, steps=_fewest_steps(mission, leg), time_factor=None)
+        if is_auto(leg.steps)
+        else leg
+        for leg in mission.legs
+    ]
+    mission = replace(mission, legs=tuple(fewest))  # until more steps are found to be needed
     nobody, agents = np.empty((0, mission.axes)), range(mission.agent_count)
     start = draw_start(mission, "swarm.start", mission.start, agents, nobody, 0.0, rng)
     states, known, legs, steps = start, start, [], 0
@@ -108,17 +114,6 @@ def _resolve(
         if legs == list(mission.legs):
             return resolved
         mission = replace(mission, legs=tuple(legs))
-
-
-def _with_placeholders(mission: Reconfiguration) -> Reconfiguration:
-    """Return the mission with the fewest steps that it allows, where they are automatic."""
-    legs = [
-        replace(leg, steps=_fewest_steps(mission, leg), time_factor=None)
-        if is_auto(leg.steps)
-        else leg
-        for leg in mission.legs
-    ]
-    return replace(mission, legs=tuple(legs))
 
 
 def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:

@@ -58,7 +58,7 @@ def find_route(
     if segments_clear(ends[:1], ends[1:], obstacles)[0]:
         return ends
     parts = obstacles.paths[:, 0, 0], obstacles.corners, obstacles.clearance
-    roadmap = _remember_roadmap(*(_freeze(part) for part in parts))
+    roadmap = _remember_roadmap(*((part.tobytes(), part.shape) for part in parts))
     points = np.concatenate([roadmap.points, ends])
     n = len(roadmap.points)
     one, other = np.repeat([n, n + 1], n), np.tile(np.arange(n), 2)
@@ -88,10 +88,6 @@ def follow_route(
     legs = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     along = [np.interp(share * legs[-1], legs, axis) for axis in way.T]
     return np.stack(along, axis=1).reshape(alone.shape)
-
-
-def _freeze(part: Array) -> tuple[bytes, tuple[int, ...]]:
-    return np.ascontiguousarray(part).tobytes(), part.shape
 
 
 @lru_cache(maxsize=MAX_ROADMAPS)
