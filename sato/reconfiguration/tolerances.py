@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
-from problems.transfer import Trajectory
+from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
     correct,
@@ -258,7 +258,6 @@ def _speed_to_lose(mission: Reconfiguration, steps: int) -> float:
     from scipy.optimize import linear_sum_assignment
 
     from problems.auction_cost import compute_transfer_costs
-    from problems.transfer import TransferProblem
 
     d, fastest = mission.axes, float(mission.top_speeds.max())
     if mission.is_point_mass:
