@@ -44,13 +44,9 @@ class Load(NamedTuple):
         rounds: Int[Array, " agents"],
         *sent: Counts,
     ) -> "Load":
-        """Return that of some agents, from arrays of all.
+        """Return that of agents of whole components, from arrays of all.
 
-        Args:
-            graph: Communication graph.
-            agents: Numbers of the agents, whole components.
-            rounds: Synchronous rounds.
-            sent: Messages that each sends to its neighbors, and their bytes without headers.
+        Sent are the messages of each to its neighbors, and their bytes without headers.
         """
         some = np.isin(np.arange(len(rounds)), agents)
         received = np.zeros((2, len(rounds)), dtype=np.int64)

@@ -63,9 +63,7 @@ class Synchronizer:
     def advance(self, entered: Rounds, rounds: Int[Array, " agents"]) -> Rounds:
         """Return when each agent gets through so many synchronous rounds; NEVER if it does not.
 
-        Args:
-            entered: Round of the network in which each enters the first of them.
-            rounds: Number of synchronous rounds, the same for all of a component.
+        Each enters the first of them in a round of the network. All of a component have as many.
         """
         now = entered.copy()
         for count in range(int(rounds.max(initial=0))):

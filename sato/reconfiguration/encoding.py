@@ -40,10 +40,8 @@ def purpose_of(content: Any) -> str:
 def measure(previous: Any, now: Any) -> int:
     """Return the bytes of a message without its header; 0 where it says nothing new.
 
-    Args:
-        previous: Content of the last message of the same sender, purpose and decision, which it
-            may not have sent either; None before the first.
-        now: Content of the message.
+    The previous content is that of the last message of the same sender, purpose and decision,
+    which it may not have sent either; None before the first.
     """
     if isinstance(now, frozenset):
         told = previous if isinstance(previous, frozenset) else NOTHING

@@ -53,12 +53,7 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     period later in the direction in which it is largest, by all its measurements, and c by the
     first of them alone, both under full control. The agent flies by a reference that its estimate
     leaves by g sigmas at most, and where it never does, the reference is the first measurement.
-    Without noise of measurement, the state is known at k.
-
-    Args:
-        mission: Model and noise.
-        period: Steps between two plans.
-        whole: Steps of the flight.
+    Without noise of measurement, the state is known at k. The whole flight has so many steps.
     """
     R, two = measurement_covariance(mission), MARGIN_SIGMAS * 2**0.5
     if mission.tracking is not None:
