@@ -238,7 +238,7 @@ def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeyp
     def record_auction(auction):
         asked = auction.cost, auction.graph, auction.target_count, auction.opening
         state, history = init_state(*asked), []
-        for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, stride=1):
+        for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, [], stride=1):
             history.append((state.price.copy(), state.winner.copy()))
         auctions.append(history)
         return run_vsdaa(auction)

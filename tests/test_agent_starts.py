@@ -33,6 +33,18 @@ def test_agents_with_their_commitments_fly_from_motion_as_the_loop_does():
     assert least >= mission.collision_radius
 
 
+def test_mission_at_rest_has_first_commitments_before_it_is_drawn():
+    limits = {"model": sato.DoubleIntegrator(2), "max_control": 0.5, "max_speed": 1.0}
+    limits |= {"comm_radius": 20.0, "collision_radius": 1.0, "step": 1.0}
+    legs = (sato.Leg(np.array([[0.0, 5.0], [5.0, 5.0]]), 20),)
+    start = np.array([[0.0, 0.0, 0.0, 0.0], [5.0, 0.0, 0.0, 0.0]])
+    still = sato.Reconfiguration(start=start, legs=legs, **limits)
+    assert sato.find_first_commitments(still) == {}
+    moving = sato.Reconfiguration(start=start + np.array([0.0, 0.0, 0.1, 0.0]), legs=legs, **limits)
+    with pytest.raises(ValueError, match="mission: must be drawn"):
+        sato.find_first_commitments(moving)
+
+
 def test_first_states_from_which_agents_do_not_stop_in_reach_are_refused():
     mission = head_on()
     for speed in (1.0, 3.0):

@@ -165,6 +165,17 @@ def test_bodies_are_found_by_their_gravity():
     assert chief.perigee_altitude == pytest.approx(3.8e6 - 3396.2e3)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 2**-52, 0.0, 1e-3])
+def test_chief_takes_any_oblateness_of_an_orbit(factor):
+    mu, radius = 1.26686534e17, 7.1492e7  # Jupiter's, of which k_J2 is 1.4e31
+    k = factor * 1.5 * 0.014736 * mu * radius**2
+    orbit = sato.Orbit.from_elements(1e8, 0.01, 0.5, mu=mu, k_J2=k, body_radius=radius)
+    chief = sato.Chief.from_orbit(orbit)
+    assert chief.orbit == orbit and replace(chief).orbit == orbit
+    with pytest.raises(ValueError, match="k_j2_m5_s2: must be at most"):
+        replace(chief, j2=None, k_j2=1.1e40)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -160,9 +160,9 @@ def test_all_arrive_though_all_stop_as_none_gets_through_a_decision(missed, monk
 
     def miss(*data):
         nonlocal count
-        count, found = count + 1, finish(*data)
-        late = [np.zeros_like(through) for through in found.through]
-        return replace(found, through=late) if count == missed else found
+        count, (each, has_heard) = count + 1, finish(*data)
+        late = [np.zeros_like(through) for through in each]
+        return late if count == missed else each, has_heard
 
     monkeypatch.setattr(network_decision.DecisionsUnderWay, "finish", miss)
     assert sato.run(mission).check().kept

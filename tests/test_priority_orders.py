@@ -84,7 +84,7 @@ def test_component_sums_and_choices_follow_from_a_flood(links, dead, seed):
 
 def test_one_order_is_method_2_itself(rng):
     planners = random_swarm(rng, 5)
-    once, exchanges, _ = run_scp(planners, complete(len(planners)))
+    once, exchanges, *_ = run_scp(planners, complete(len(planners)))
     found = try_priority_orders(planners, complete(len(planners)), 1)
     assert found.round_count == exchanges
     assert found.solve_count == sum(p.solve_count for p in once.values())
@@ -130,7 +130,7 @@ def test_component_without_cost_tries_no_further_order(rng):
 
 def test_swarm_without_conflicts_solves_nothing():
     planners = {i: make_planner(i, [0.0, 4.0 * i], [2.0, 4.0 * i]) for i in range(3)}
-    once, exchanges, _ = run_scp(planners, complete(len(planners)))
+    once, exchanges, *_ = run_scp(planners, complete(len(planners)))
     found = try_priority_orders(planners, complete(len(planners)), 9)
     assert (found.round_count, found.solve_count) == (exchanges + 1, 0)  # one flood of the costs
     assert all(found.planners[i].nominal is once[i].nominal for i in once)

@@ -18,9 +18,10 @@ from planner_examples import (
 )
 
 from sato.network.load import Load
+from sato.scp.exchange import ConflictResolution
 from sato.scp.negotiation import negotiate
 from sato.scp.planner import is_clear
-from sato.scp.priority_orders import ConflictResolution, offset_right, try_priority_orders
+from sato.scp.priority_orders import offset_right, try_priority_orders
 from sato.scp.resolve import (
     OFFSETS,
     can_use_roundabout,

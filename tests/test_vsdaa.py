@@ -74,7 +74,7 @@ def open_anyhow(rng: np.random.Generator, auction: VsdaaAuction) -> Opening:
 def kernel(case: VsdaaAuction, ids: bool, rounds: int) -> list[VsdaaState]:
     """State after each round; the last is repeated up to this number of rounds."""
     swarm, history = init_state(case.cost, case.graph, case.target_count, case.opening), []
-    for _ in run_kernel(swarm, case.epsilon, ids, stride=1):
+    for _ in run_kernel(swarm, case.epsilon, ids, [], stride=1):
         history.append(VsdaaState(*(field.copy() for field in swarm)))
     return history + [history[-1]] * (rounds - len(history))
 

@@ -89,15 +89,13 @@ class VsdaaAuction:
             hears = ~np.eye(agents, dtype=bool) if graph is None else graph
             graph = CommunicationGraph(hears, np.ones(agents, dtype=bool))
         count = np.full(agents, target_count) if isinstance(target_count, int) else target_count
-        names = "cost", "graph", "target_count", "epsilon", "bidder_ids", "opening"
-        values = cost, graph, count, epsilon, bidder_ids, opening
-        for name, value in zip(names, values, strict=True):
-            object.__setattr__(self, name, value)
+        real = np.asarray(cost, dtype=float)  # of any numbers
+        self.__dict__.update(cost=real, graph=graph, target_count=count, epsilon=epsilon)
+        self.__dict__.update(bidder_ids=bidder_ids, opening=opening)
         self._check()
 
     def _check(self) -> None:
         """Refuse an auction that cannot end."""
-        object.__setattr__(self, "cost", np.asarray(self.cost, dtype=float))  # of any numbers
         cost, alive, target_count = self.cost, self.graph.alive, self.target_count
         agents, targets = cost.shape
         if not np.all(np.isfinite(cost[alive])):
@@ -173,7 +171,7 @@ def run_vsdaa(auction: VsdaaAuction) -> VsdaaResult:
     """
     state = init_state(auction.cost, auction.graph, auction.target_count, auction.opening)
     dropped: list[BidLog] = []
-    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped=dropped):
+    for _ in run_kernel(state, auction.epsilon, auction.bidder_ids, dropped):
         pass
     stopped = np.where(auction.graph.alive, state.last_news_round + state.patience, 0)
     return VsdaaResult(
@@ -194,13 +192,10 @@ def _count_news(state: "VsdaaState", logs: Sequence["BidLog"]) -> dict[str, Int[
 
     A bid changes what an agent knows if it arrives before every newer one on its target.
     """
-    agent, round, target, winner, price = (
-        np.concatenate(parts) for parts in list(zip(*logs, strict=True))[:5]
-    )
+    columns = [np.concatenate(parts) for parts in list(zip(*logs, strict=True))[:5]]
+    _, _, target, winner, price = columns
     order = np.lexsort((winner, -np.abs(price), target))  # of each target the newest first
-    agent, round, target, winner, price = (
-        part[order] for part in (agent, round, target, winner, price)
-    )
+    agent, round, target, winner, price = (column[order] for column in columns)
     is_other, is_same = np.ones((2, len(agent)), dtype=bool)
     is_other[1:] = target[1:] != target[:-1]
     is_same[1:] = (price[1:] == price[:-1]) & (winner[1:] == winner[:-1]) & ~is_other[1:]
@@ -325,8 +320,8 @@ def run_kernel(
     state: VsdaaState,
     epsilon: float,
     bidder_ids: bool,
+    dropped: list[BidLog],
     stride: int = 2**62,
-    dropped: list[BidLog] | None = None,
 ) -> Iterator[None]:
     """Run all rounds in which something happens, pausing after every `stride` of them.
 
@@ -341,16 +336,14 @@ def run_kernel(
         before, last_round = int(state.round[0]), int(state.round[0]) + stride
         rules = last_round, float(epsilon), bidder_ids
         while (outcome := _advance(*rules, state, log)) == LOG_FULL:
-            if dropped is not None:
-                dropped.append(log.select(int(log.size[0])))
+            dropped.append(log.select(int(log.size[0])))
             log = _make_room(state, log)
         if outcome < 0:
             raise OutOfTargets(-1 - outcome, int(state.round[0]), targets)
         if state.round[0] > before:
             yield
         if outcome == DONE:
-            if dropped is not None:
-                dropped.append(log.select(int(log.size[1])))
+            dropped.append(log.select(int(log.size[1])))
             return
 
 

@@ -19,13 +19,7 @@ class Outages:
     """
 
     def __init__(self, link: Link, count: int, rng: np.random.Generator) -> None:
-        """Draw which links are down at first.
-
-        Args:
-            link: Lengths and shares.
-            count: Number of links.
-            rng: Generator, also of all later rounds.
-        """
+        """Draw which links are down at first; the generator draws all later rounds too."""
         self._rng, self._most, self._left = rng, link.outage_rounds, np.zeros(count, dtype=int)
         if link.outage_share:
             self._start = 1 / link.mean_up_rounds
@@ -58,13 +52,7 @@ class Channel:
     """
 
     def __init__(self, link: Link, graph: CommunicationGraph, rng: np.random.Generator) -> None:
-        """Prepare to draw, with nothing drawn yet.
-
-        Args:
-            link: Probabilities.
-            graph: Agents that hear each other.
-            rng: Generator of this channel alone.
-        """
+        """Prepare to draw, with nothing drawn yet, from a generator of this channel alone."""
         self._link, self._rng = link, rng
         self.sender, self.receiver = np.nonzero(graph.adjacency)
         self.by_round: Int[Array, "rounds edges"] = np.zeros((0, len(self.sender)), dtype=np.int32)

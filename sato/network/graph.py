@@ -18,6 +18,8 @@ ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 FAR = 2**30  # hops between two components
 WORD = 64  # bits
 
+Pairs = tuple[Int[Array, " pairs"], Int[Array, " pairs"]]  # both of each
+
 
 @checked
 @dataclass(frozen=True, eq=False)
@@ -99,20 +101,12 @@ class CommunicationGraph:
         return i, j
 
     @cached_property
-    def lists(self) -> tuple[Int[Array, " entries"], Int[Array, " edges"]]:
-        """Place of the first neighbor of each agent in a list of all, and that list."""
-        i, j = self.edges
-        return np.searchsorted(i, np.arange(len(self.alive) + 1)), j
-
-    @cached_property
-    def pairs(self) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    def pairs(self) -> Pairs:
         """Both agents of each pair of neighbors, the one of lower number first, in order."""
         i, j = self.edges
         return i[i < j], j[i < j]
 
-    def pairs_among(
-        self, agents: Int[Array, " some"]
-    ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+    def pairs_among(self, agents: Int[Array, " some"]) -> Pairs:
         """Return the pairs of neighbors among some agents, by their places in the list."""
         most = len(self.alive) - 1
         if len(agents) and not 0 <= np.min(agents) <= np.max(agents) <= most:
@@ -141,15 +135,16 @@ class CommunicationGraph:
         """Length of a shortest path between two agents; FAR between components."""
         hops = np.full(self.adjacency.shape, FAR, dtype=np.int32)
         np.fill_diagonal(hops, 0)
-        _count_hops(*self.lists, self.alive, hops, np.zeros(len(hops), dtype=np.int64))
+        i, neighbor = self.edges
+        first = np.searchsorted(i, np.arange(len(hops) + 1))  # of each agent, in the list of all
+        _count_hops(first, neighbor, self.alive, hops)
         return hops
 
     @cached_property
     def eccentricity(self) -> Int[Array, " agents"]:
         """Hops to the farthest agent of each one's component; 0 where not alive."""
-        farthest = np.zeros(len(self.alive), dtype=np.int64)
-        _count_hops(*self.lists, self.alive, np.empty((0, 0), dtype=np.int32), farthest)
-        return farthest
+        near = np.where(self.hops < FAR, self.hops, 0)
+        return np.asarray(near.max(axis=1, initial=0), dtype=np.int64)
 
     @cached_property
     def diameter(self) -> Int[Array, " agents"]:
@@ -159,18 +154,18 @@ class CommunicationGraph:
         """
         return self.component_max(self.eccentricity)
 
-    def component_max(self, values: Int[Array, " agents"]) -> Int[Array, " agents"]:
+    def component_max(self, values: Int[Array, "agents ..."]) -> Int[Array, "agents ..."]:
         """Take the largest value in each agent's component; agents not alive keep their own.
 
         The batched equivalent of a flood with `max`.
         """
         result = values.copy()
-        largest = np.full(len(values), np.iinfo(np.int64).min)
+        largest = np.full(values.shape, np.iinfo(np.int64).min)
         np.maximum.at(largest, self.component[self.alive], values[self.alive])
         result[self.alive] = largest[self.component[self.alive]]
         return result
 
-    def component_any(self, is_true: Bool[Array, " agents"]) -> Bool[Array, " agents"]:
+    def component_any(self, is_true: Bool[Array, "agents ..."]) -> Bool[Array, "agents ..."]:
         """Return True for all agents in whose components one is; agents not alive keep their own.
 
         The batched equivalent of a flood with `or`.
@@ -209,9 +204,8 @@ def canonicalize_labels(labels: Int[Array, " n"]) -> Int[Array, " n"]:
 
 @njit(cache=True)
 @no_type_check
-def _count_hops(first, neighbor, alive, hops, farthest):
+def _count_hops(first, neighbor, alive, hops):
     # In each round all agents pass on, as bits, the numbers of those that they have heard of last.
-    # No hops are noted where there is no room for them.
     agents = len(alive)
     words = (agents + WORD - 1) // WORD
     place = np.zeros(67, dtype=np.int64)  # of a bit, by its value modulo 67
@@ -238,9 +232,7 @@ def _count_hops(first, neighbor, alive, hops, farthest):
                 last[i, w] = bits
                 known[i, w] |= bits
                 is_new[i] |= bits != 0
-                while bits and len(hops):
+                while bits:
                     rest = bits & (bits - np.uint64(1))
                     hops[i, w * WORD + place[(bits ^ rest) % np.uint64(67)]] = round
                     bits = rest
-            if is_new[i]:
-                farthest[i] = round

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Lt
@@ -82,8 +82,7 @@ class Link(Definition):
     @property
     def is_ideal(self) -> bool:
         """True where every message arrives at once."""
-        faults: tuple[Any, ...] = self.late, self.loss_probability, self.outage, self.skew
-        return not any((*faults, self.round))
+        return not any((self.late, self.loss_probability, self.outage, self.skew, self.round))
 
     @property
     def loses_messages(self) -> bool:

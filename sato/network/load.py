@@ -44,13 +44,9 @@ class Load(NamedTuple):
         rounds: Int[Array, " agents"],
         *sent: Counts,
     ) -> "Load":
-        """Return that of some agents, from arrays of all.
+        """Return that of agents of whole components, from arrays of all.
 
-        Args:
-            graph: Communication graph.
-            agents: Numbers of the agents, whole components.
-            rounds: Synchronous rounds.
-            sent: Messages that each sends to its neighbors, and their bytes without headers.
+        Sent are the messages of each to its neighbors, and their bytes without headers.
         """
         some = np.isin(np.arange(len(rounds)), agents)
         received = np.zeros((2, len(rounds)), dtype=np.int64)
@@ -109,11 +105,8 @@ def mark_changes(
 ) -> Bool[Array, "agents rounds"]:
     """Mark the rounds after which agents know of a later change than before.
 
-    Args:
-        graph: Communication graph.
-        rounds: Rounds of the stage.
-        changes: Agents that changed something, and in which round.
-        first: Round of a change of which all know at first.
+    Changes are the agents that changed something, and in which round. Of a change in the round
+    `first` all know at first.
     """
     speaks = np.zeros((len(rounds), int(rounds.max(initial=0))), dtype=bool)
     _mark_changes(graph.hops, rounds, *changes, first, speaks)
@@ -166,35 +159,8 @@ def count_census(graph: CommunicationGraph) -> Counts:
     An agent passes on, in the round after it has heard of them, those at each distance up to its
     eccentricity e, and after round e + 1 the largest eccentricity that it knows.
     """
-    far = graph.eccentricity
-    rises = np.zeros_like(far)
-    _spread_eccentricity(*graph.lists, far, rises)
-    messages = np.where(graph.alive, 1 + far + rises, 0)
+    live = np.flatnonzero(graph.alive)
+    learned = graph.eccentricity[live] + 1  # rounds after which agents know their own
+    rises = mark_changes(graph, 2 * (graph.diameter + 1), (live, learned), 0).sum(axis=1)
+    messages = np.where(graph.alive, 1 + graph.eccentricity + rises, 0)
     return messages, ECCENTRICITY * messages
-
-
-@njit(cache=True)
-@no_type_check
-def _spread_eccentricity(first, neighbor, far, rises):
-    # Agent i knows its own after round far[i] + 1, and hears another's a hop a round.
-    agents = len(far)
-    largest, after = np.full(agents, -1), np.full(agents, -1)
-    round, known = 0, 0
-    while known < agents:
-        round += 1
-        known = 0
-        is_changed = False
-        for i in range(agents):
-            best = largest[i]
-            if far[i] + 1 <= round:
-                best = max(best, far[i])
-                known += 1
-            for k in range(first[i], first[i + 1]):
-                best = max(best, largest[neighbor[k]])
-            after[i] = best
-            if best > largest[i]:
-                rises[i] += 1
-                is_changed = True
-        largest[:] = after
-        if is_changed:
-            known = 0

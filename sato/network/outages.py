@@ -17,10 +17,7 @@ class PairOutages:
     def __init__(self, link: Link, agents: int, rng: np.random.Generator) -> None:
         """Draw which pairs do not hear each other at first.
 
-        Args:
-            link: Lengths and shares, with the time that a round takes.
-            agents: Number of agents.
-            rng: Generator, also of all later rounds.
+        The generator draws all later rounds too. A round takes the time that the link says.
         """
         self._pairs = np.triu_indices(agents, 1)
         self._outages = Outages(link, len(self._pairs[0]), rng)

@@ -43,11 +43,8 @@ def run_round(
 ) -> dict[int, Result]:
     """Let each of these agents act once, on the messages of its neighbors.
 
-    Args:
-        graph: Communication graph.
-        states: Memory of each agent that acts, by its number.
-        update: Pure function of one agent's memory and inbox, most often its new memory.
-        messages: Message of each agent that has sent one, by its number.
+    The update is a pure function of one agent's memory and inbox, most often its new memory. An
+    agent that has sent no message has none under its number.
     """
     return {
         i: update(state, [messages[j] for j in graph.neighbors[i] if j in messages])
@@ -60,11 +57,8 @@ def schedule_turns(
 ) -> list[list[tuple[int, ...]]]:
     """Give each group one turn, one group of every component at a time, in ascending order.
 
-    The batched equivalent of a flood of the groups, which each agent then sorts.
-
-    Args:
-        graph: Communication graph.
-        groups: Agents of one component each, that act in the same turn.
+    The agents of a group are of one component, and act in the same turn. The batched equivalent
+    of a flood of the groups, which each agent then sorts.
     """
     queues: dict[int, list[tuple[int, ...]]] = {}
     for group in sorted(groups):

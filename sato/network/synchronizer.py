@@ -21,12 +21,7 @@ class Synchronizer:
     """Rounds of the network in which agents get through synchronous rounds."""
 
     def __init__(self, channel: Channel, stops: Rounds) -> None:
-        """Begin.
-
-        Args:
-            channel: Arrival of messages.
-            stops: Round of the network in which each agent falls silent, or its time is over.
-        """
+        """Begin; each agent stops in the round in which it falls silent, or its time is over."""
         self._channel, self._stops = channel, stops
         self._first_stop = int(stops.min(initial=NEVER))
         self._until = np.minimum(stops[channel.sender], stops[channel.receiver])
@@ -68,9 +63,7 @@ class Synchronizer:
     def advance(self, entered: Rounds, rounds: Int[Array, " agents"]) -> Rounds:
         """Return when each agent gets through so many synchronous rounds; NEVER if it does not.
 
-        Args:
-            entered: Round of the network in which each enters the first of them.
-            rounds: Number of synchronous rounds, the same for all of a component.
+        Each enters the first of them in a round of the network. All of a component have as many.
         """
         now = entered.copy()
         for count in range(int(rounds.max(initial=0))):

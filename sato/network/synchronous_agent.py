@@ -14,25 +14,10 @@ same until it goes on, and acts once, on all packets that have arrived, of whate
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from dynamics.doors import checked
 from sato.scenario.definition import Count
-
-
-class Stage(Protocol):
-    """Memory of an agent in synchronous rounds."""
-
-    @property
-    def message(self) -> Any:
-        """Message to the neighbors, of the last round."""
-
-    @property
-    def is_finished(self) -> bool:
-        """True once the agent has acted for the last time."""
-
-    def update(self, inbox: Sequence[Any]) -> "Stage":
-        """Act in a round, on the messages of all neighbors."""
 
 
 @checked
@@ -50,7 +35,7 @@ class SynchronousAgent(NamedTuple):
 
     number: int
     instant: int
-    stage: Any  # a Stage
+    stage: Any  # has a `message`, and `is_finished` once it acts no more by `update(inbox)`
     discovery_rounds: int  # of the network, in which it listens for neighbors; 1 at least
     last_network_round: int  # in which it may act, of those since it began
     network_round: int = 0

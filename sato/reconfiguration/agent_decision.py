@@ -38,7 +38,6 @@ from numpy import ndarray as Array
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import Opening, VsdaaAuction
 from sato.network.flooding import Census, CensusMessage, Flood, Reports
-from sato.network.graph import CommunicationGraph
 from sato.reconfiguration import assignment, commitment, evasion, planning, stopping, target_costs
 from sato.reconfiguration.agent_stages import (
     AuctionTerms,
@@ -91,8 +90,6 @@ from sato.reconfiguration.state import DecisionContext, Event
 from sato.scp.halfway import come_after
 from sato.scp.planner import Planner
 
-ALONE = CommunicationGraph(np.zeros((1, 1), dtype=bool), np.ones(1, dtype=bool))
-
 
 class Decision(NamedTuple):
     """Memory of one agent while it decides."""
@@ -114,6 +111,7 @@ class Decision(NamedTuple):
     table: target_costs.CostTable | None = None  # of the auction
     is_unpriced: bool = False  # it begins without prices
     planned_cost: Float[Array, " rows"] | None = None  # to the target that it holds
+    unreachable: tuple[int, ...] = ()  # its number, if its target is out of reach
     previous: Plan | None = None  # in orbit: its plan before this decision
     is_unclear: bool = False  # in orbit: what it has committed to is not clear of others
     choosing: Choosing | None = None  # once it has chosen
@@ -137,15 +135,8 @@ class Decision(NamedTuple):
     ) -> "Decision":
         """Begin with the census.
 
-        Args:
-            number: Number of the agent.
-            context: State, memory and graph of the agent alone.
-            plans: Empty, or the plan of the agent.
-            committed: Empty, or what the agent has committed to.
-            spent: Fuel or energy spent so far.
-            leg: Instant at which the leg began, and a checksum of its targets.
-            joins: True where the agent calls for an auction at once.
-            has_arrived: True where it has arrived at its target.
+        The leg is given by the instant at which it began, and a checksum of its targets. An agent
+        that joins calls for an auction at once.
         """
         memory = context.memory
         due, auction_due = is_planning_due(context, plans), is_auction_due(context, plans)
@@ -209,11 +200,11 @@ class Decision(NamedTuple):
         if isinstance(self.stage, Bidding):
             return self._after_auction(self.stage)
         if isinstance(self.stage, Bending):
-            return self._enter(Meeting(self.stage.planner, self.stage.unreachable))
+            return self._enter(Meeting(self.stage.planner))
         if isinstance(self.stage, Meeting):
-            return self._exchange(come_after(self.stage.planner), self.stage.unreachable)
+            return self._exchange(come_after(self.stage.planner))
         if isinstance(self.stage, Exchange):
-            return self._after_exchange(self.stage)
+            return self._after_exchange(self.stage.planner)
         if isinstance(self.stage, Holding):
             held = self.stage
             return self._replace(is_unclear=held.is_unclear)._begin_choice(held.kept_offers)
@@ -223,8 +214,8 @@ class Decision(NamedTuple):
             return self._report_choice(self.stage)
         return self._begin_evasion(self.stage) if self.is_evading else self._commit(self.stage)
 
-    def _after_exchange(self, exchange: Exchange) -> "Decision":
-        planners, lost = {self.number: exchange.planner}, exchange.unreachable
+    def _after_exchange(self, planner: Planner) -> "Decision":
+        planners, lost = {self.number: planner}, self.unreachable
         count = len(self.context.mission.initial_states)
         hears_all = self.diameter <= 1 and len(self.members) == count
         plans, events = planning.make_plans(self.context, planners, lost, self.plans, hears_all)
@@ -345,18 +336,15 @@ class Decision(NamedTuple):
         heard_clock = min(hello.clock for hello in reports)
         decision = self._replace(members=members, diameter=diameter, heard_clock=heard_clock)
         if not (has_joined or is_new or any(hello.is_auction_due for hello in reports)):
-            kept = decision._keep_targets() if bids_on_change(mission) else decision
-            return kept._begin_exchange()
+            if bids_on_change(mission):  # all claim again what they hold, as in `claim_targets`
+                target = self.context.memory.claimed_target[self.number, list(members)]
+                decision = decision._claim(dict(zip(members, target.tolist(), strict=True)))
+            return decision._begin_exchange()
         if mission.assignment == "given":
             return decision._take_given(reports)._begin_exchange()
         known, i = find_all_blocked(self.context), self.number
         blocked = () if known is None else tuple(np.flatnonzero(known[i]).tolist())
         return decision._replace(blocked=blocked)._share_clock()._announce_terms("first")
-
-    def _keep_targets(self) -> "Decision":
-        """Claim again the targets that all hold, as `claim_targets`."""
-        target = self.context.memory.claimed_target[self.number, list(self.members)]
-        return self._claim(dict(zip(self.members, target.tolist(), strict=True)))
 
     def _take_given(self, reports: list[Hello]) -> "Decision":
         """Hold the target that is given, and reset the clock where it is out of reach."""
@@ -439,7 +427,7 @@ class Decision(NamedTuple):
         if counts_members(mission):
             count = count_targets(count, np.array(len(self.members)), len(cost))
         cost, m = cost[order], int(count)
-        VsdaaAuction(cost[None], ALONE, count[None], epsilon)  # checks its data
+        VsdaaAuction(cost[None], None, count[None], epsilon)  # checks its data
         opening = Opening.empty(1, len(cost))
         if is_forecast(mission, self.context.leg) and not self.is_unpriced:
             states = {terms.agent: terms.state for terms in sorted(flood.message)}
@@ -490,11 +478,10 @@ class Decision(NamedTuple):
     def _begin_exchange(self) -> "Decision":
         heard = np.full_like(self.context.memory.clock, self.heard_clock)
         planners, unreachable, _ = planning.plan_alone(self.context, self.spent, self.plans, heard)
-        planner = planners[self.number]
+        planner, decision = planners[self.number], self._replace(unreachable=tuple(unreachable))
         if self.context.mission.keeps_plans:
-            return self._enter(Bending(planner, unreachable, self.diameter))
-        return self._exchange(planner, unreachable)
+            return decision._enter(Bending(planner, self.diameter))
+        return decision._exchange(planner)
 
-    def _exchange(self, planner: Planner, unreachable: list[int]) -> "Decision":
-        reports = Flood(len(self.members), self.diameter)
-        return self._enter(Exchange(planner, unreachable, reports))
+    def _exchange(self, planner: Planner) -> "Decision":
+        return self._enter(Exchange(planner, Flood(len(self.members), self.diameter)))

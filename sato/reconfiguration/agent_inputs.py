@@ -1,9 +1,9 @@
 """Inputs of one agent, checked: its number, its state, the time and its inbox."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from math import ceil, floor, inf
-from numbers import Integral
 from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
@@ -63,7 +63,7 @@ def check_agent(mission: Reconfiguration, number: int) -> None:
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
-    if not _is_whole(number) or not 0 <= number <= most:
+    if not 0 <= number <= most:
         reason = ", the last of the mission's lists for each vehicle" if lengths else ""
         raise ValueError(
             f"number must be a whole number from 0 to {most}{reason}, got {format_value(number)}"
@@ -91,10 +91,6 @@ def check_agent(mission: Reconfiguration, number: int) -> None:
 def list_doubts(mission: Reconfiguration) -> tuple[str, ...]:
     """List what `sato.run` warns of before it flies the same drawn mission."""
     return tuple(mission.warnings())
-
-
-def _is_whole(number: Any) -> bool:
-    return isinstance(number, Integral) and not isinstance(number, bool)
 
 
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
@@ -145,15 +141,13 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
         ValueError: It is not as many finite numbers as the model has states.
     """
     n = 2 * mission.axes
-    try:
+    with suppress(InputError):
         array = as_array(to_plain(state, "m", STATES), 1)
-    except InputError:
-        array = np.zeros(0)
-    if array.shape != (n,) or not np.isfinite(array).all():
-        raise ValueError(
-            f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
-        )
-    return array
+        if array.shape == (n,):
+            return array
+    raise ValueError(
+        f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
+    )
 
 
 def check_seen(mission: Reconfiguration, number: int, seen: Sequence[Sensed]) -> list[Sensed]:
@@ -179,19 +173,14 @@ def check_seen(mission: Reconfiguration, number: int, seen: Sequence[Sensed]) ->
 
 
 def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
-    """Return an inbox, which has nothing but messages of other agents.
+    """Return what an agent heard, which is nothing but messages of other agents.
 
-    Args:
-        number: Number of the agent.
-        inbox: All that it heard.
-        is_ideal: True where no message is lost or late; else they come in packets.
+    They come in packets where messages are lost or late.
 
     Raises:
         ValueError: It has something else.
     """
     kind = AgentMessage if is_ideal else AgentPacket
-    if isinstance(inbox, AgentMessage | AgentPacket) or not isinstance(inbox, Sequence):
-        raise ValueError(f"inbox must be a list of messages, got {type(inbox).__name__}")
     for message in inbox:
         if not isinstance(message, kind):
             raise ValueError(
@@ -211,11 +200,8 @@ def select_messages(
 ) -> list[AgentMessage]:
     """Return the messages of an agent's own instant and stage, by the number of the sender.
 
-    Args:
-        number: Number of the agent.
-        now: Its own last message.
-        inbox: All messages that it heard.
-        heard: Agents that it heard in the round before; None in the first round of an instant.
+    Its own last message tells these. In the first round of an instant, no agents were heard in the
+    round before (None).
 
     Raises:
         ValueError: A sender is ahead of the agent, sent twice, sent something else than the agent,

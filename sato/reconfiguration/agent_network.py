@@ -24,10 +24,8 @@ class NetworkDecision(NamedTuple):
     @classmethod
     def begin(cls, mission: Reconfiguration, instant: int, decision: Decision) -> "NetworkDecision":
         """Begin, in round 0 of the network."""
-        link, last = mission.link, NEVER
-        if mission.lag_steps:
-            last = mission.decision_rounds - 1
-        rounds = link.discovery_rounds, last
+        last = mission.decision_rounds - 1 if mission.lag_steps else NEVER
+        rounds = mission.link.discovery_rounds, last
         return cls(SynchronousAgent(decision.number, instant, decision, *rounds))
 
     @property

@@ -21,7 +21,13 @@ from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.orbital_evasion import Detours, offer_detour
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext
-from sato.scp.planner import Planner, Priority, TrajectoryMessage, update_planner
+from sato.scp.planner import (
+    Planner,
+    Priority,
+    TrajectoryMessage,
+    pair_clearances,
+    update_planner,
+)
 
 
 class AuctionTerms(NamedTuple):
@@ -115,7 +121,6 @@ class Exchange(NamedTuple):
     """Memory of an agent that exchanges trajectories."""
 
     planner: Planner
-    unreachable: list[int]  # the agent's number, if its target is
     flood: Flood
 
     @property
@@ -170,10 +175,8 @@ class Holding(NamedTuple):
         own, offers = self.message, self.offers
         is_unclear = not all(keeps_clear(own.path, own.clearance, other) for other in inbox)
         if self.detours is not None:
-            others = np.array([extend(other.path, len(own.path)) for other in inbox])
-            others = others.reshape(-1, *own.path.shape)
-            clearance = (np.array([other.clearance for other in inbox]) + own.clearance) / 2
-            offers = offer_detour(offers, 0, self.detours, others, clearance)
+            others = stack_others(inbox, own.path, own.clearance)
+            offers = offer_detour(offers, 0, self.detours, *others)
         return self._replace(offers=offers, is_unclear=is_unclear, is_finished=True)
 
 
@@ -260,19 +263,15 @@ class Choosing(NamedTuple):
         own, round = self.message, self.round + 1
         last_change = max([self.last_change, *(message.last_change for message in inbox)])
         after = self._replace(round=round, last_change=last_change, neighbors=tuple(inbox))
-        ahead = (other for other in inbox if _goes_first(other, own))
+        # The one that follows its plan for a shorter time, or that of higher priority, stays.
+        turn = -own.choice, own.priority
+        ahead = (other for other in inbox if (-other.choice, other.priority) < turn)
         is_clear = all(keeps_clear(own.path, own.clearance, other) for other in ahead)
         is_clear = is_clear and all(map(after.keeps_clear_of_held, after.kept_below))
         if own.choice == self.offers.last or is_clear:
             return after
         choice = next_choice(self.offers.is_allowed[0], self.choice)
         return after._replace(choice=choice, last_change=round)
-
-
-def _goes_first(other: OfferMessage, own: OfferMessage) -> bool:
-    if other.choice == own.choice:
-        return other.priority < own.priority
-    return other.choice > own.choice
 
 
 def keeps_clear(path: Array, clearance: float, other: CommittedMessage | OfferMessage) -> bool:
@@ -286,6 +285,14 @@ def extend(path: Float[Array, "pieces 4 d"], pieces: int) -> Float[Array, "_ 4 d
     """Return the first pieces of a path; after its end an agent rests."""
     rest = np.broadcast_to(path[-1, -1], (max(pieces - len(path), 0), *path.shape[1:]))
     return np.concatenate([path[:pieces], rest])
+
+
+def stack_others(
+    messages: Sequence[CommittedMessage], path: Float[Array, "pieces 4 d"], clearance: float
+) -> tuple[Float[Array, "others pieces 4 d"], Float[Array, " others"]]:
+    """Stack the paths of others, as long as an agent's own, and the distances to keep [m]."""
+    paths = np.array([extend(other.path, len(path)) for other in messages])
+    return paths.reshape(-1, *path.shape), pair_clearances(messages, clearance)
 
 
 class ChoiceReport(NamedTuple):
@@ -328,13 +335,8 @@ class Turns(NamedTuple):
         after = self._replace(round=self.round + 1)
         if self.order[self.round] != self.agent:
             return after
-        beside = [*inbox, *self.kept_below]
-        paths = np.array([extend(other.path, len(self.path)) for other in beside])
-        others = paths.reshape(-1, *self.path.shape)
-        clearance = (np.array([other.clearance for other in beside]) + self.clearance) / 2
-        found = improve(
-            self.context, self.agent, self.plan, self.horizon, self.path, others, clearance
-        )
+        others = stack_others([*inbox, *self.kept_below], self.path, self.clearance)
+        found = improve(self.context, self.agent, self.plan, self.horizon, self.path, *others)
         if found is None:
             return after
         u, path, plan_steps = found

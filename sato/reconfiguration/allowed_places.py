@@ -26,12 +26,7 @@ MAX_LEFT_OUT = 20  # times that a shape is drawn with more targets, for those th
 def check_starts(
     mission: "Reconfiguration", placed: Float[Array, "k d"], agents: Sequence[int]
 ) -> None:
-    """Refuse starts in obstacles or out of bounds.
-
-    Args:
-        mission: Obstacles and allowed positions.
-        placed: Starts [m].
-        agents: Number of each agent.
+    """Refuse starts [m] in obstacles or out of bounds.
 
     Raises:
         InputError: One is; says where.
@@ -67,11 +62,7 @@ def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
 def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: float) -> Points:
     """Return the targets of a leg, of a shape without those that are blocked.
 
-    Args:
-        mission: Obstacles that are known and at rest, and allowed positions.
-        leg: The leg.
-        demand: Least number of targets.
-        needed: Least distance of two [m].
+    There are as many as the demand, or more, and two are as far apart as is needed [m].
 
     Raises:
         InputError: A target of a list is blocked, or too few of a shape are left.

@@ -20,7 +20,7 @@ from sato.reconfiguration.auction_opening import (
     is_forecast,
 )
 from sato.reconfiguration.bidding_rules import compute_bid_costs, compute_epsilon, least_penalty
-from sato.reconfiguration.blocked_targets import agree_on_blocked, find_all_blocked, order_targets
+from sato.reconfiguration.blocked_targets import find_all_blocked, order_targets
 from sato.reconfiguration.clock import set_back, wait
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.state import AgentMemory, DecisionContext
@@ -57,20 +57,16 @@ def assign_targets(
 
     A clock is also reset where an agent won a target out of its reach; a mission may have it
     that this is the only reason. A component whose clock is reset bids again, with the time
-    that it now has.
-
-    Args:
-        context: States, memory and graph of the agents that decide.
-        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
-            without a plan.
-        heard: Clock with the most time left of those that plan again in each agent's component.
+    that it now has. The planned cost is the fuel or energy left in the plan to the target that
+    each holds, infinite without a plan; and the clock that is heard that with the most time left
+    of those that plan again in each agent's component.
     """
     heard = context.memory.clock if heard is None else heard
     waiting = replace(context.memory, clock=wait(context, heard, np.isfinite(planned_cost)))
     context = context._replace(graph=agreement_graph(context.mission, context.graph))
     graph, memory = context.graph, share_claims(waiting, context.graph)
     known = find_all_blocked(context)
-    blocked = None if known is None else agree_on_blocked(graph, known)
+    blocked = None if known is None else graph.component_any(known)
     was_reset = np.asarray(graph.alive & (memory.clock != context.memory.clock))
     cost = np.where(was_reset, np.inf, planned_cost)
     context = context._replace(memory=memory)
@@ -107,10 +103,7 @@ def needs_reset(
 ) -> Bool[Array, " agents"]:
     """Find the agents that call for a reset of their component's clock after an auction.
 
-    Args:
-        context: Rule of the resets, and memory before the auction.
-        counted: Bidders in the auction.
-        won_unreachable: True where an agent won a target out of its reach.
+    They counted so many bidders in it, and may have won targets out of their reach.
     """
     is_called, memory = won_unreachable, context.memory
     if context.mission.reset == "change":
@@ -123,13 +116,12 @@ def share_claims(memory: AgentMemory, graph: CommunicationGraph) -> AgentMemory:
 
     The batched equivalent of flooding: of two claims of one agent the newer counts.
     """
-    target, step = memory.claimed_target.copy(), memory.claim_step.copy()
+    target, step = memory.claimed_target.copy(), memory.claim_step
     for c in range(graph.component.max(initial=-1) + 1):
         members = np.flatnonzero(graph.component == c)
         newest = step[members].argmax(axis=0)
         target[members] = target[members[newest], np.arange(len(newest))]
-        step[members] = step[members].max(axis=0)
-    clock = -graph.component_max(-memory.clock)
+    step, clock = graph.component_max(step), -graph.component_max(-memory.clock)
     return replace(memory, claimed_target=target, claim_step=step, clock=clock)
 
 

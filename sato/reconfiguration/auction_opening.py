@@ -83,8 +83,7 @@ def forecast_opening(auction: VsdaaAuction) -> Opening:
 def has_dear_leftovers(price: Float[Array, "*agents targets"]) -> Bool[Array, "*agents"]:
     """Tell where a target that is left over is dearer than one that is taken, after an auction.
 
-    Args:
-        price: Signed, as each agent knows it.
+    Prices are signed, as each agent knows them.
     """
     is_taken = price > 0
     least = np.where(is_taken, price, np.inf).min(axis=-1)
@@ -101,13 +100,8 @@ def forecast_alone(
 ) -> Opening:
     """Forecast the auction of a component as one of its agents does, for this agent alone.
 
-    Args:
-        context: Memory of the agent.
-        number: Number of the agent.
-        states: State by which each of its component plans, its own included.
-        is_firm: True where the firm penalty is called for.
-        order: Targets in the order in which agents bid on them.
-        target_count: Number of targets that they bid on.
+    The states are those by which each of its component plans, its own included; `order` is that in
+    which agents bid on targets, and `is_firm` True where the firm penalty is called for.
     """
     members, own = list(states), context.memory
     count, clock = len(members), np.full(len(members), own.clock[number])

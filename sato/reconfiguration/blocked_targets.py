@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.obstacle_paths import ObstaclePaths, is_path_clear
-from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.free_motion import drift_freely, free_motion
 from sato.reconfiguration.orbital_commitment import drift_on
 from sato.reconfiguration.orbital_evasion import Flights
@@ -32,12 +31,8 @@ class Places(NamedTuple):
 def find_places(context: DecisionContext, steps: int, escape: int) -> Places:
     """Return the places that agents would take up after some steps.
 
-    In orbit they move on with their targets, and elsewhere they rest.
-
-    Args:
-        context: Time, targets and surroundings.
-        steps: Steps until they arrive.
-        escape: Steps after that in which they could get out of the way of what moves.
+    In orbit they move on with their targets, and elsewhere they rest. For `escape` steps after
+    that they could get out of the way of what moves.
     """
     mission, around, targets = context.mission, context.surroundings, context.leg.targets
     assert around is not None
@@ -86,17 +81,6 @@ def find_all_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] 
             places[when] = find_places(context, *when)
         blocked[i] = find_blocked(context, i, places[when])
     return blocked if blocked.any() else None
-
-
-def agree_on_blocked(
-    graph: CommunicationGraph, blocked: Bool[Array, "agents targets"]
-) -> Bool[Array, "agents targets"]:
-    """Return the targets that any agent of each one's component knows to be blocked."""
-    agreed = blocked.copy()
-    for c in range(graph.component.max(initial=-1) + 1):
-        members = np.flatnonzero(graph.component == c)
-        agreed[members] = blocked[members].any(axis=0)
-    return agreed
 
 
 def order_targets(

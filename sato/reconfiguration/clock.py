@@ -17,12 +17,8 @@ TIME_FACTOR = 1.5  # over the time that a late vehicle takes alone
 def set_back(context: DecisionContext, is_late: Bool[Array, " agents"]) -> Int[Array, " agents"]:
     """Return the clocks, set back for vehicles that are late.
 
-    Where plans are kept, each has the time in which it stops and flies to its target, and a half
-    more; elsewhere that of the whole leg.
-
-    Args:
-        context: States and clocks.
-        is_late: True for vehicles that cannot arrive in the time that is left.
+    These cannot arrive in the time that is left. Where plans are kept, each has the time in which
+    it stops and flies to its target, and a half more; elsewhere that of the whole leg.
     """
     clock, steps = np.where(is_late, 0, context.memory.clock), context.leg.steps
     if context.mission.has_own_clocks:
@@ -46,12 +42,8 @@ def wait(
     Where plans are kept, those that have arrived take the one for which they wait, so that they can
     make room for others and return. Those that have found no way to their targets do not lose the
     time until they look again. In orbit, where targets move on, all take the one for which they
-    wait, so that they arrive together.
-
-    Args:
-        context: Clocks.
-        heard: Clock with the most time left of those that plan again in each one's component.
-        has_plan: True for vehicles with a plan that leads to their targets.
+    wait, so that they arrive together. That is the clock with the most time left of those that plan
+    again in each one's component, as it is heard.
     """
     clock, mission, steps = context.memory.clock, context.mission, context.leg.steps
     later = np.minimum(heard, clock)

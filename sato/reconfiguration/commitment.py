@@ -24,7 +24,7 @@ from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated
 from sato.network.encoding import CHOICE, CHOICE_REPORT, PRIORITY, REAL
-from sato.network.graph import CommunicationGraph
+from sato.network.graph import CommunicationGraph, Pairs
 from sato.network.load import Load, count_flood, count_messages, mark_changes
 from sato.reconfiguration.evasion import (
     ROUNDING,
@@ -68,15 +68,9 @@ def choose_offers(
 
     All begin with their best. While two are not clear, the one that follows its plan for longer
     takes its next choice, or that of lower rank where both do as long. So at the end all are clear
-    that were not committed already.
+    that were not committed already. With `is_confirmed`, one of higher rank also keeps clear of
+    what one of lower rank has committed to, and may go on flying.
     The batched equivalent of `agent_stages.Choosing`.
-
-    Args:
-        offers: Offers of all.
-        graph: Communication graph.
-        rank: Place of each in the order of priorities.
-        is_confirmed: True where one of higher rank also keeps clear of what one of lower rank has
-            committed to, and may go on flying.
     """
     i, j, radius = list_pairs(offers, graph)
     choice, last = offers.is_allowed.argmax(axis=1).astype(np.int64), offers.last
@@ -193,18 +187,13 @@ class CommitmentChoice(NamedTuple):
     cautious: list[int]  # agents that could not commit to their plans
     load: Load
     # Pairs of neighbors in which the first commits only once it knows that the second does.
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+    waits: Pairs = (NOBODY, NOBODY)
 
 
 def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
     Where decisions take time, agents commit once all that they could meet have confirmed it.
-
-    Args:
-        context: States, graph and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories.
     """
     if not plans:
         return CommitmentChoice({}, plans, [], Load.none(len(context.state)))
@@ -252,7 +241,9 @@ def commit(context: DecisionContext, plans: Plans, committed: Commitments) -> Co
     left = {i for i in left if leaves_plan(plans[i], followed[i])}
     waits = find_waits(offers, context.graph, paths) if is_confirmed else (NOBODY, NOBODY)
     load = load.plus(_count_turns(context.graph, offers, cautious, improved))
-    load = load.plus(_count_evasions(context.graph, offers, size))
+    made, rounds = np.where(size > 0, 0, -1), context.graph.diameter
+    reports = count_flood(context.graph, np.where(size > 0, rounds, 0), made, size)
+    load = load.plus(Load.of(context.graph, np.flatnonzero(size), rounds, reports))
     return CommitmentChoice(done, followed, sorted(left), load, waits)
 
 
@@ -279,16 +270,9 @@ def _count_turns(
     return Load.of(graph, offers.agents, rounds, reports, (messages, payload))
 
 
-def _count_evasions(graph: CommunicationGraph, offers: Offers, size: Int[Array, " agents"]) -> Load:
-    """Count the load of reports of these sizes."""
-    made = np.where(size > 0, 0, -1)
-    reports = count_flood(graph, np.where(size > 0, graph.diameter, 0), made, size)
-    return Load.of(graph, np.flatnonzero(size), graph.diameter, reports)
-
-
 def find_waits(
     offers: Offers, graph: CommunicationGraph, paths: Float[Array, "agents pieces 4 d"]
-) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"]]:
+) -> Pairs:
     """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
     i, j = graph.pairs_among(offers.agents)
     i, j, held = np.append(i, j), np.append(j, i), offers.held_paths
@@ -385,16 +369,8 @@ def improve(
 ) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"], int] | None:
     """Change a committed trajectory towards the agent's plan, or to a stop later on it.
 
-    From a neighbor that it is too near to, as noise may have it, the change keeps what it had.
-
-    Args:
-        context: State of the agent, and its solver.
-        agent: Number of the agent.
-        plan: Its plan.
-        horizon: Horizon in which all have come to rest.
-        path: Control points of its committed trajectory.
-        others: Control points of those of its neighbors.
-        clearance: Distance to keep from each [m].
+    From a neighbor that it is too near to, as noise may have it, the change keeps what it had. The
+    path is that of the committed trajectory, over a horizon in which all have come to rest.
 
     Returns:
         Controls, control points, and the steps for which these follow the plan; None where none

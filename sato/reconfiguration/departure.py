@@ -77,17 +77,12 @@ def depart_leg(mission: Reconfiguration, number: int) -> Departure | None:
     names = tuple(there.format(i) for i in held) + tuple(f"agent {i}" for i in new)
     state = np.concatenate([state[held], mission.initial_states[new]])
     spare = lost = max(0, len(agents) - fewest)
-    if mission.assignment == "auction" and (lost or not _is_connected(mission, state)):
+    position, present = state[:, : mission.axes], np.ones(len(state), dtype=bool)
+    graph = CommunicationGraph.from_positions(position, mission.comm_radius, present)
+    if mission.assignment == "auction" and (lost or graph.component.any()):
         spare = len(agents)
     begin = sum(leg.steps for leg in mission.legs[:number]) * mission.step
     return Departure(mission, agents, state, spare, lost, begin, names)
-
-
-def _is_connected(mission: Reconfiguration, state: Float[Array, "k n"]) -> bool:
-    present = np.ones(len(state), dtype=bool)
-    position = state[:, : mission.axes]
-    graph = CommunicationGraph.from_positions(position, mission.comm_radius, present)
-    return not graph.component.any()
 
 
 def room_at_start(departure: Departure, steps: int) -> float:

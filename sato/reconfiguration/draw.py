@@ -42,7 +42,13 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     if own_motion.is_own_model(mission.model):
         length = UNKNOWN_STEPS if is_auto(mission.legs[0].steps) else mission.legs[0].steps
         own_motion.check_authority(type(mission.model).__name__, mission.discretize(length))
-    mission = _with_placeholders(mission)
+    fewest = [
+        replace(leg, steps=_fewest_steps(mission, leg), time_factor=None)
+        if is_auto(leg.steps)
+        else leg
+        for leg in mission.legs
+    ]
+    mission = replace(mission, legs=tuple(fewest))  # until more steps are found to be needed
     nobody, agents = np.empty((0, mission.axes)), range(mission.agent_count)
     start = draw_start(mission, "swarm.start", mission.start, agents, nobody, 0.0, rng)
     states, known, legs, steps = start, start, [], 0
@@ -110,17 +116,6 @@ def _resolve(
         mission = replace(mission, legs=tuple(legs))
 
 
-def _with_placeholders(mission: Reconfiguration) -> Reconfiguration:
-    """Return the mission with the fewest steps that it allows, where they are automatic."""
-    legs = [
-        replace(leg, steps=_fewest_steps(mission, leg), time_factor=None)
-        if is_auto(leg.steps)
-        else leg
-        for leg in mission.legs
-    ]
-    return replace(mission, legs=tuple(legs))
-
-
 def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:
     # The last event comes before the deadline.
     events = [loss.at_step for loss in leg.losses] + [join.at_step for join in leg.joins]
@@ -165,21 +160,16 @@ def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, fact
 
 def is_drawn(mission: Reconfiguration) -> bool:
     """Return True where all chance is drawn and every automatic value is a number."""
-    numbers = mission.margin, mission.position_tolerance, mission.velocity_tolerance
-    shapes = [leg.shape for leg in mission.legs]
-    return not any(value is None or is_auto(value) for value in numbers) and all(
-        isinstance(shape, Points) and shape.velocities is not None for shape in shapes
+    has_tolerances = None not in (mission.position_tolerance, mission.velocity_tolerance)
+    return (mission.has_margin and has_tolerances) and all(
+        isinstance(leg.shape, Points) and leg.shape.velocities is not None for leg in mission.legs
     )
 
 
 def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> Leg:
-    """Draw the targets of a leg that is no part of a drawn mission.
+    """Draw the targets of a leg that is no part of a drawn mission, and has no losses and joins.
 
-    Args:
-        mission: A drawn mission.
-        leg: The leg, without losses and joins.
-        demand: Least number of targets.
-        instant: Control instant at which the leg begins.
+    It begins at a control instant, and has as many targets as the demand, or more.
 
     Raises:
         InputError: There are too few targets, they are too close for the margin, or the number

@@ -19,7 +19,6 @@ from sato.reconfiguration.agent_stages import (
     ExchangeReport,
     OfferMessage,
 )
-from sato.reconfiguration.census import Hello
 from sato.reconfiguration.halfway_stages import BendingMessage
 from sato.scp.planner import TrajectoryMessage
 
@@ -41,10 +40,8 @@ def purpose_of(content: Any) -> str:
 def measure(previous: Any, now: Any) -> int:
     """Return the bytes of a message without its header; 0 where it says nothing new.
 
-    Args:
-        previous: Content of the last message of the same sender, purpose and decision, which it
-            may not have sent either; None before the first.
-        now: Content of the message.
+    The previous content is that of the last message of the same sender, purpose and decision,
+    which it may not have sent either; None before the first.
     """
     if isinstance(now, frozenset):
         told = previous if isinstance(previous, frozenset) else NOTHING
@@ -99,13 +96,12 @@ def _measure_census(previous: CensusMessage, now: CensusMessage) -> int:
     new = now.reports - previous.reports
     if not new and now.max_eccentricity == previous.max_eccentricity:
         return 0
-    told, parts = ({_common_part(hello) for hello in some} for some in (previous.reports, new))
+    told, parts = (
+        {(hello.leg, hello.clock, hello.claim_step, hello.together) for hello in some}
+        for some in (previous.reports, new)
+    )
     size = encoding.ECCENTRICITY + encoding.HELLO * len(new)
     return size + encoding.COMMON_HELLO * len(parts - told)
-
-
-def _common_part(hello: Hello) -> tuple[Any, ...]:
-    return hello.leg, hello.clock, hello.claim_step, hello.together
 
 
 def _measure_bids(previous: BiddingMessage, now: BiddingMessage) -> int:

@@ -83,14 +83,10 @@ def predict(
     planned: Float[Array, "agents d"],
     time: float,
 ) -> Estimate:
-    """Predict estimates and references a step ahead; those without a control are forgotten.
+    """Predict estimates and references a step ahead, from a time [s] on.
 
-    Args:
-        mission: Model and noise.
-        estimate: Knowledge of the agents at the beginning of the step.
-        control: Commanded in the step; NaN for agents that are not there [m/s²].
-        planned: The same without feedback [m/s²].
-        time: Beginning of the step [s].
+    The controls are those commanded, and those planned without feedback [m/s²]. Agents without a
+    control (NaN) are forgotten.
     """
     if not (measurement_covariance(mission).any() or mission.tracking):
         return estimate

@@ -135,13 +135,8 @@ def find_evasions(
 ) -> dict[int, EvasionReport]:
     """Change what agents have committed to where something comes over them.
 
-    Args:
-        mission: Limits of the vehicles.
-        horizon: Horizon in which all have come to rest.
-        reports: Reports of all agents of a component.
-
-    Returns:
-        Reports of those that change, as they are then.
+    The reports are those of all agents of a component, and the horizon one in which all have come
+    to rest. Returned are the reports of those that change, as they are then.
     """
     before = sorted(reports, key=lambda report: report.agent)
     now = [*before]

@@ -37,10 +37,8 @@ from sato.reconfiguration.stopping import (
     stopping_horizon,
 )
 from sato.reconfiguration.surroundings import Surroundings, find_surroundings
-from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
-from sato.shapes import Points
 
 MAX_SWEEPS = 4  # in which each vehicle that meets another looks for another way to stop
 SLOWER = 2  # times the time of the slowest stop, in which all come to rest
@@ -60,14 +58,14 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
     Raises:
         InputError: Two cannot stop clear of each other, or the mission is not drawn.
     """
-    if not isinstance(mission.start, Points) or mission.margin is None or is_auto(mission.margin):
-        raise InputError("mission", "must be drawn; mission.draw(rng) would do")
     agents, d = np.flatnonzero(mission.alive), mission.axes
     start = mission.initial_states[agents]
     around = find_surroundings(mission)
     is_still = not start[:, d:].any() and (around is None or not around.state[:, d:].any())
     if not mission.is_point_mass or is_still:
         return {}
+    if not mission.has_margin:
+        raise InputError("mission", "must be drawn; mission.draw(rng) would do")
     around = around and around.seen_from(mission, mission.initial_states)
     escapes = [around.escape_steps(mission, i) for i in agents.tolist()] if around else []
     steps = max(escapes, default=0)
@@ -283,13 +281,7 @@ def check_stops(
 ) -> None:
     """Refuse states from which vehicles that decide no more do not stop within reach.
 
-    Args:
-        mission: A drawn mission.
-        agents: Numbers of the vehicles.
-        state: States of the vehicles.
-        where: Key of the states, for the error.
-        committed: Their commitments; those without a commitment stop at once.
-        instant: Steps since the start of the mission.
+    Those without a commitment stop at once. `where` is the key of the states, for the error.
 
     Raises:
         InputError: One does not; says what would do.

@@ -22,13 +22,9 @@ PIECES_PER_ORBIT = 50  # cubic in time, within 1e-6 of the size of an orbit
 def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, float]:
     """Return into how many pieces the free motion that is checked is divided, and their length [s].
 
+    It begins at the arrival, the instant at which vehicles take up the targets of the drawn leg.
     It ends where the targets do not keep their distance themselves: after two orbits, or sooner
     where their motion is not bounded. Without an orbit it lasts as long as the leg.
-
-    Args:
-        mission: A drawn mission.
-        leg: Its leg.
-        arrival: Instant at which vehicles take up its targets.
     """
     period = mission.orbital_period
     h = mission.step if period is None else period / PIECES_PER_ORBIT
@@ -44,12 +40,7 @@ def drift_freely(
 ) -> Float[Array, "*agents pieces 4 d"]:
     """Return the control points of free motion from states on, by the model that agents plan by.
 
-    Args:
-        mission: Its model.
-        x: States at the first instant.
-        count: Number of pieces.
-        t: Time of the first instant [s].
-        h: Duration of a piece [s].
+    So many pieces of h [s] begin at a time t [s].
     """
     d = mission.axes
     states = simulate(mission, x, np.zeros((*x.shape[:-1], count, d)), t, h)
@@ -65,12 +56,7 @@ def simulate(
 ) -> StateSamples:
     """Return the states under held controls by the model that the agents plan by.
 
-    Args:
-        mission: Its model.
-        x: States at the first instant.
-        u: Controls, each held over a step.
-        t: Time of the first instant [s].
-        h: Duration of a step [s].
+    The first instant is t [s], and each control is held for a step of h [s].
     """
     if mission.nonlinear_model is not None:
         return simulate_nonlinear(mission.nonlinear_model, x, u, t, h)

@@ -20,7 +20,6 @@ class Bending(NamedTuple):
     """Memory of an agent while paths spread, in the first round, and push each other aside."""
 
     planner: Planner
-    unreachable: list[int]  # the agent's number, if its target is
     diameter: int
     round: int = 0
     last_change: int = 1  # paths spread in the first round
@@ -52,7 +51,6 @@ class Meeting(NamedTuple):
     """Memory of an agent while all solve for trajectories halfway to each other."""
 
     planner: Planner
-    unreachable: list[int]
     round: int = 0
 
     @property

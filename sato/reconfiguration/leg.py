@@ -32,19 +32,16 @@ MAX_LEG_FACTOR = 20  # times its steps after which a leg is given up
 def longest_leg(steps: int, lag_steps: int) -> int:
     """Return the steps after which a leg is given up.
 
-    Args:
-        steps: Steps of the leg.
-        lag_steps: Steps until a decision is flown, at a multiple of which all give up; or 0.
+    All give up at a multiple of the steps until a decision is flown, if these are not 0.
     """
     most = MAX_LEG_FACTOR * steps
     return most + -most % lag_steps if lag_steps else most
 
 
-Steps = Amount
 if TYPE_CHECKING:
     Duration = int  # once the mission is drawn
 else:
-    Duration = Steps | Literal["auto"]
+    Duration = Amount | Literal["auto"]
 Indices = tuple[Count, ...]
 Targets = Points | Text | Ring | Lattice | Polygon | Picture
 

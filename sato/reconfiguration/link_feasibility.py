@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray as Array
@@ -178,10 +178,6 @@ def measure_round(link: Link, graph: CommunicationGraph) -> float:
     """Measure how many rounds of messages a synchronous round takes, on average.
 
     It is infinite where they are far more than can be of use.
-
-    Args:
-        link: Losses, delays and outages.
-        graph: Agents that wait for their neighbors.
     """
     if not (link.late or link.loses_messages):
         return 1.0
@@ -198,16 +194,14 @@ def _list_cures(mission: "Reconfiguration") -> list[str]:
     """List values with which the least decision ends in time, one of each key that has one."""
     link, steps = mission.link, mission.replan_steps
 
-    def is_soon(late: float) -> bool:
-        return is_enough(mission, replace(link, late=int(late)), steps)
-
-    def is_fast(round: float) -> bool:
-        return is_enough(mission, replace(link, round=round), steps)
+    def does(**changes: Any) -> bool:
+        return is_enough(mission, replace(link, **changes), steps)
 
     cures = []
-    if (late := _find_most(is_soon, link.late, 0.5)) is not None:
+    if (late := _find_most(lambda late: does(late=int(late)), link.late, 0.5)) is not None:
         cures.append(f"link.late = {int(late)}")
-    if (time := _find_most(is_fast, link.round, LEAST_SHARE * link.round)) is not None:
+    least = LEAST_SHARE * link.round
+    if (time := _find_most(lambda time: does(round=time), link.round, least)) is not None:
         cures.append(f"link.round_s = {round_down(time)}")
     longer = [
         k for k in range(steps + 1, mission.horizon_steps + 1) if not mission.auction_steps % k

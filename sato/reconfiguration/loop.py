@@ -53,9 +53,7 @@ def simulate(
 ) -> Iterator[state.ReconfigurationFrame]:
     """Simulate every leg of a drawn mission; yield a frame at every control instant.
 
-    Args:
-        mission: A drawn mission.
-        rng: Draws losses, disturbances and noise.
+    The generator draws losses, disturbances and noise.
     """
     flight = _Flight(mission, rng)
     for number in range(len(mission.legs)):
@@ -174,16 +172,13 @@ class _Flight:
     def _have_arrived(self, k: int) -> Array:
         # Agents whose last plan was not clear may not be where their clocks have them.
         is_due = any(at_step > k for _, at_step in self.mission.joining(self.leg_index))
-        if is_due or self._are_joins_passed():
+        # It may be something that passes, and no agent, for which one waits to join.
+        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
+        if is_due or not all(map(nobody.has_room, self.waiting)):
             return np.zeros(1, dtype=bool)
         live, plans = np.flatnonzero(self.alive), self.plans
         is_planned = [i in plans and plans[i].target_index is not None for i in live.tolist()]
         return np.asarray((self.memory.clock[live] >= self.leg.steps) & np.array(is_planned, bool))
-
-    def _are_joins_passed(self) -> bool:
-        """Tell whether it is something that passes, and no agent, for which one waits to join."""
-        nobody = self._traffic._replace(alive=np.zeros_like(self.alive), committed={})
-        return not all(map(nobody.has_room, self.waiting))
 
     @property
     def _traffic(self) -> Traffic:
@@ -265,15 +260,16 @@ class _Flight:
         return decisions + [(graph.subgraph(some), bid) for some, bid in parts if some.any()]
 
     def _decide(self, context: state.DecisionContext, bids: bool) -> Outcome:
-        solves, fallbacks = 0, np.array([own.fallback_count for own in self.solvers])
-        errors, error_count = np.array([own.error_count for own in self.solvers]), len(self.errors)
+        solves, counted, error_count = 0, self._count_faults(), len(self.errors)
         memory, blocked = context.memory, None
         auction = Load.none(len(self.x))
         was_reset = np.zeros(len(self.x), dtype=bool)
         heard = memory.clock
         if bids:
             cost = remaining_cost(self.plans, context)
-            decision = assign_targets(context, cost, self._hear_clocks(context))
+            is_due = is_planning_due(context, self.plans)
+            announced = announce_clock(is_due, memory.clock, self.leg.steps)
+            decision = assign_targets(context, cost, -context.graph.component_max(-announced))
             memory, solves = decision.memory, decision.solve_count
             was_reset, blocked, auction = decision.was_reset, decision.blocked, decision.load
         elif bids_on_change(self.mission):
@@ -291,21 +287,22 @@ class _Flight:
             found = commit_in_orbit(context, planned, self.committed, self.plans, heard)
         if found.cautious:
             events.append({"kind": "cautious", "agents": found.cautious})
-        rejected = np.array([own.fallback_count for own in self.solvers]) - fallbacks
-        failed = np.array([own.error_count for own in self.solvers]) - errors
+        rejected, failed = self._count_faults() - counted
         reasons = {self.solvers[i].last_rejection for i in np.flatnonzero(rejected)}
-        counted = (
-            ("fallback", rejected, reasons),
-            ("solver_error", failed, self.errors[error_count:]),
-        )
-        for kind, counts, said in counted:
+        faults = {"fallback": (rejected, reasons)}
+        faults["solver_error"] = failed, set(self.errors[error_count:])
+        for kind, (counts, said) in faults.items():
             if counts.any():
-                more = {"programs": int(counts.sum()), "reasons": sorted(set(said))}
+                more = {"programs": int(counts.sum()), "reasons": sorted(said)}
                 events.append({"kind": kind, "agents": np.flatnonzero(counts).tolist(), **more})
         made = found.plans, found.committed, events, was_reset, blocked
         loads = auction, exchange, found.load
         self.loads[1:] = [a.plus(b) for a, b in zip(self.loads[1:], loads, strict=True)]
         return Outcome(context.graph.alive, memory, *made, loads, waits=found.waits)
+
+    def _count_faults(self) -> Array:
+        # Of the solver of each agent: answers that were rejected, and errors.
+        return np.array([(own.fallback_count, own.error_count) for own in self.solvers]).T
 
     def _take_up(self, outcome: Outcome) -> None:
         """Let agents take up what they have decided."""
@@ -362,9 +359,9 @@ class _Flight:
         for i, instant in self.lost_at.items():
             flown = max(0, instant - begun) * mission.step
             stops[i] = pending.enters[i] + mission.link.count_rounds(flown)
-        found = pending.finish(mission, stops)
-        late = self.alive & ~found.has_heard
-        for outcome, through in zip(pending.outcomes, found.through, strict=True):
+        each, has_heard = pending.finish(mission, stops)
+        late = self.alive & ~has_heard
+        for outcome, through in zip(pending.outcomes, each, strict=True):
             late |= outcome.agents & self.alive & ~through
             self._take_up(outcome.of(through & self.alive))
         if late.any():
@@ -381,12 +378,6 @@ class _Flight:
             self.left_out.update(np.flatnonzero(new).tolist())
             agents = np.asarray(blocked[:, new].any(axis=1))
             self._note("blocked", agents, targets=np.flatnonzero(new).tolist())
-
-    def _hear_clocks(self, context: state.DecisionContext) -> Array:
-        """Return the clock with the most time left of those that plan again, as agents hear it."""
-        is_due = is_planning_due(context, self.plans)
-        announced = announce_clock(is_due, context.memory.clock, self.leg.steps)
-        return -context.graph.component_max(-announced)
 
     def _propagate(self, planned: Array, control: Array, applied: Array) -> None:
         mission, steps, clock = self.mission, self.leg.steps, self.memory.clock

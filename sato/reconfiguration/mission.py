@@ -18,7 +18,7 @@ from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.network.link import Link
 from sato.obstacles import AnyObstacle
 from sato.reconfiguration import feasibility, link_feasibility, models, own_motion, vehicles
-from sato.reconfiguration.leg import Leg, Steps, states_of
+from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.models import PlantSettings
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.planned_limits import PlannedLimits
@@ -26,6 +26,7 @@ from sato.reconfiguration.start import Start, start_without_files
 from sato.scenario.definition import (
     EACH,
     LATER,
+    Amount,
     Convert,
     Coordinates,
     Count,
@@ -152,16 +153,16 @@ class Reconfiguration(PlannedLimits, Mission):
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
 
     step: Annotated[Time, PLAN, Positive, "control step Δt"]
-    horizon_steps: Annotated[Steps, PLAN, "steps that avoidance looks ahead, T_H"] = 4
+    horizon_steps: Annotated[Amount, PLAN, "steps that avoidance looks ahead, T_H"] = 4
     foresight_steps: Annotated[
         Count | None,
         PLAN,
         "steps it looks ahead in hearing; if absent, 0, in orbit and for kept plans the leg",
     ] = None
-    orders: Annotated[Steps, PLAN, "orders of priority that each plan tries"] = 1
+    orders: Annotated[Amount, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
     replan_steps: Annotated[
-        Steps,
+        Amount,
         PLAN,
         "replanning period; if absent, up to half the horizon",
     ] = LATER
@@ -169,7 +170,7 @@ class Reconfiguration(PlannedLimits, Mission):
         Time, PLAN, NotNegative, "time that an agent computes in a decision, over a network"
     ] = 0.0
     auction_steps: Annotated[
-        Steps,
+        Amount,
         PLAN,
         "auction period, in replan_steps, where plans are not kept; if absent, the horizon",
     ] = LATER

@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
 from sato.network.flooding import census_rounds
-from sato.network.graph import CommunicationGraph
+from sato.network.graph import CommunicationGraph, Pairs
 from sato.network.load import Load
 from sato.network.synchronizer import Synchronizer
 from sato.reconfiguration.commitment import NOBODY
@@ -43,7 +43,7 @@ class Outcome:
     blocked: Bool[Array, "agents targets"] | None  # targets that were left out
     loads: tuple[Load, ...]  # of each purpose, after the census
     # Pairs of which the first commits only once it knows that the second does.
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]] = (NOBODY, NOBODY)
+    waits: Pairs = (NOBODY, NOBODY)
 
     def of(self, some: Bool[Array, " agents"]) -> "Outcome":
         """Return what some of the agents have decided, with the events that are theirs."""
@@ -73,12 +73,16 @@ class DecisionsUnderWay:
     enters: Int[Array, " agents"]  # rounds of the network in which they begin, by their clocks
     have_arrived: bool  # all agents, when it began
 
-    def finish(self, mission: Reconfiguration, stops: Int[Array, " agents"]) -> "Finished":
+    def finish(
+        self, mission: Reconfiguration, stops: Int[Array, " agents"]
+    ) -> tuple[list[Bool[Array, " agents"]], Bool[Array, " agents"]]:
         """Find out who gets through.
 
-        Args:
-            mission: Its link, and the rounds that decisions have.
-            stops: Round in which each agent falls silent, NEVER if it does not.
+        An agent falls silent in a round, NEVER if it does not.
+
+        Returns:
+            For each outcome the agents that take up what they have chosen; and those that have
+            heard of all in their component, or were lost.
         """
         ends = np.minimum(stops, self.enters + mission.decision_rounds)
         synchronizer = Synchronizer(self.channel, ends)
@@ -97,28 +101,16 @@ class DecisionsUnderWay:
             )
             chosen[~deciding] = NEVER
             through.append(confirm(synchronizer, chosen, outcome.waits) < ends)
-        return Finished(through, ~alive | (counted < ends))
-
-
-@dataclass(frozen=True, eq=False)
-class Finished:
-    """Ends of the decisions of an instant."""
-
-    through: list[Bool[Array, " agents"]]  # agents that take up what they have chosen
-    has_heard: Bool[Array, " agents"]  # of all in its component; true for those that were lost
+        return through, ~alive | (counted < ends)
 
 
 def confirm(
-    synchronizer: Synchronizer,
-    chosen: Int[Array, " agents"],
-    waits: tuple[Int[Array, " pairs"], Int[Array, " pairs"]],
+    synchronizer: Synchronizer, chosen: Int[Array, " agents"], waits: Pairs
 ) -> Int[Array, " agents"]:
     """Return the round in which each agent says that it commits; NEVER if it does not.
 
-    Args:
-        synchronizer: Arrival of messages.
-        chosen: Round in which each has chosen.
-        waits: Pairs of which the first waits until it hears that of the second.
+    Each has chosen in a round before. Of the pairs that wait, the first waits until it hears that
+    of the second.
     """
     first, second = waits
     promised, edge = chosen.copy(), synchronizer.find_edges(second, first)
@@ -132,12 +124,7 @@ def confirm(
 
 
 def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> list[int]:
-    """Return by how many whole steps clocks are behind; nothing where none is.
-
-    Args:
-        mission: Its step and the largest difference of two clocks.
-        delay: Time by which each is behind [s].
-    """
+    """Return by how many whole steps clocks are behind by delays [s]; nothing where none is."""
     most = int(mission.link.skew / mission.step + 1e-9)
     return np.minimum(np.rint(delay / mission.step), most).astype(int).tolist() if most else []
 
@@ -154,10 +141,7 @@ def foresee(
 ) -> DecisionContext:
     """Return the context in which agents find themselves when they take up a decision.
 
-    Args:
-        context: The context now.
-        committed: Commitments that are flown until then.
-        has_begun: True where its clock runs.
+    Until then they fly what they have committed to, and their clocks run where these have begun.
     """
     mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings
     each, instant = range(len(context.state)), context.instant

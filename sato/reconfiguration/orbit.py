@@ -9,7 +9,7 @@ from math import degrees, pi
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Lt
+from annotated_types import Le, Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
@@ -92,17 +92,15 @@ class Chief(Definition):
     j2: Annotated[
         float, NotNegative, Lt(MAX_J2), "oblateness J2; 0 is Kepler's motion; by mu if absent"
     ] = LATER
-    k_j2: Annotated[float | None, Unit("m5_s2"), "3/2 J2 mu R², in place of j2"] = None
+    k_j2: Annotated[float | None, Unit("m5_s2"), Le(1e40), "3/2 J2 mu R², in place of j2"] = None
     epoch: Annotated[str, BeforeValidator(_as_utc), "UTC of time 0"] = "2026-01-01T00:00:00"
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "Chief":
         """Return the chief on an orbit of the library, equal to the last bit."""
         mu, k, radius = orbit.mu, orbit.k_J2, orbit.body_radius
-        j2 = k / oblateness(1.0, mu, radius) if radius else 0.0
-        near = (j2, find_body(mu).J2, *(float(np.nextafter(j2, end)) for end in (0.0, 1.0)))
-        exact = [j2 for j2 in near if oblateness(j2, mu, radius) == k and 0 <= j2 < MAX_J2]
         values: dict[str, Any] = dict(zip(POLAR_NODAL, orbit.initial_elements, strict=True))
+        exact = [j2 for j2 in (0.0, find_body(mu).J2) if oblateness(j2, mu, radius) == k]
         values |= {"j2": exact[0]} if exact else {"k_j2": k}
         return cls(**values, mu=mu, body_radius=radius)
 

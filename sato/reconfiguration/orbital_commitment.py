@@ -12,7 +12,7 @@ in which that is so at the start, and plans are not clear of each other either, 
 
 from collections.abc import Sequence
 from math import ceil
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -24,6 +24,7 @@ from sato.network.encoding import CHOICE, CLEARANCE, REAL
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.reconfiguration.commitment import (
+    Choices,
     CommitmentChoice,
     are_clear,
     choose_offers,
@@ -41,7 +42,7 @@ from sato.reconfiguration.orbital_evasion import (
     make_room,
     offer_detour,
 )
-from sato.reconfiguration.passive_safety import offer_drifts
+from sato.reconfiguration.passive_safety import OfferedDrifts, make_horizon
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.planning import divide_horizon
 from sato.reconfiguration.state import DecisionContext
@@ -57,11 +58,8 @@ def make_orbital_offers(
 ) -> tuple[Offers, dict[int, Detours]]:
     """Offer the plans of agents of one component, and what they have committed to.
 
-    Args:
-        context: States and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories; an agent without one drifts.
-        heard_clock: Clock with the most time left in their component, as it was announced.
+    An agent without a commitment drifts. `heard_clock` is the clock with the most time left in
+    their component, as it was announced.
     """
     mission, agents = context.mission, np.array(list(plans))
     held, clock, steps = _divide_time(context, plans, committed, heard_clock)
@@ -77,7 +75,10 @@ def make_orbital_offers(
     begun = context.step_index if mission.assignment == "given" else clock
     arrival = context.instant + context.leg.steps - begun
     free = free_motion(mission, context.leg, arrival)
-    flights = Flights(mission, horizon, context.time, *free)
+    flights, drifts = Flights(mission, horizon, context.time, *free), None
+    if mission.is_passively_safe:
+        drifting = make_horizon(mission, context.time, steps)
+        drifts = OfferedDrifts(drifting, drifting.follow(x, u))
     offers = Offers(
         agents=agents,
         plan_steps=(steps, 0),
@@ -87,7 +88,7 @@ def make_orbital_offers(
         paths=flights.follow(x, u, end),
         is_allowed=np.ones((len(agents), 2), dtype=bool),
         clearance=mission.own_clearances(horizon.clearance, agents),
-        drifts=offer_drifts(context, steps, x, u),
+        drifts=drifts,
     )
     if not mission.has_surroundings:
         return offers, {}
@@ -198,12 +199,7 @@ def commit_in_orbit(
 ) -> CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
-    Args:
-        context: States, graph and time of the agents that decide.
-        plans: Their plans.
-        committed: Committed trajectories.
-        previous: Plans before these.
-        clocks: Clock of each agent before it decided.
+    The clocks are those before they decided, and `previous` the plans before these.
     """
     done: Commitments = {}
     flown = dict(plans)
@@ -227,8 +223,8 @@ def commit_in_orbit(
             near = graph.adjacency[offers.agents[row], offers.agents]
             clearance = (offers.clearance[row] + offers.clearance[near]) / 2
             offers = offer_detour(offers, row, each, offers.paths[near, -1], clearance)
-        choice, keeps, more = choose_in_orbit(offers, graph, rank_of(offers, own))
-        load = load.plus(more)
+        choice, more = choose_in_orbit(offers, graph, rank_of(offers, own))
+        keeps, load = choice == offers.last, load.plus(more)
         if context.instant == 0:
             check_start(offers, choice, graph)
         u = offers.u[np.arange(len(members)), choice]
@@ -255,18 +251,10 @@ def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
     )
 
 
-class OrbitalChoices(NamedTuple):
-    """Offers that agents have chosen in orbit."""
-
-    choice: Int[Array, " agents"]
-    keeps: Bool[Array, " agents"]  # True where an agent keeps what it has committed to
-    load: Load
-
-
 def choose_in_orbit(
     offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
-) -> OrbitalChoices:
-    """Let all agents agree on offers.
+) -> Choices:
+    """Let all agents agree on offers; the last is what an agent has committed to.
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
     """
@@ -278,7 +266,7 @@ def choose_in_orbit(
     choice[is_unclear & (choice == offers.last)] = 0
     own = offers.agents, int(offers.steps[0]), offers.paths[:1, 0].shape[-1]
     load = load.plus(_count_holding(graph, *own))
-    return OrbitalChoices(choice, choice == offers.last, load)
+    return Choices(choice, load)
 
 
 def _count_holding(

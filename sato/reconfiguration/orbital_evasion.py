@@ -65,13 +65,8 @@ def list_detours(
 ) -> Detours:
     """List trajectories that pass all bodies that an agent knows, within its limits.
 
-    Args:
-        flights: Horizon, and free motion after it.
-        agent: Number of the agent.
-        state: State of the agent.
-        u: Controls that it would change.
-        path: Control points of its trajectory by these, to the end of the free motion.
-        known: Bodies, over as many pieces as the agent looks ahead.
+    They change the controls u, by which the agent would fly the path, to the end of the free
+    motion. The bodies are known over as many pieces as the agent looks ahead.
     """
     mission, ahead, d = flights.mission, known.paths.shape[1], flights.mission.axes
     gap = measure_gaps(path[:ahead] - known.paths, known)[0]
@@ -141,14 +136,8 @@ def offer_detour(
 ) -> Offers:
     """Let an agent offer, in place of its plan, the first detour that is clear of all others.
 
-    Where it is too near to another already, the detour comes no nearer.
-
-    Args:
-        offers: Offers, with room for a detour.
-        row: Row of the agent.
-        detours: Its detours.
-        others: Control points of what those that it hears have committed to.
-        clearance: Distance to keep from each [m].
+    The others are what those that it hears have committed to. Where the agent is too near to one
+    already, the detour comes no nearer. The offers have room for a detour.
     """
     kept = hull_distance(offers.paths[row, -1] - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))

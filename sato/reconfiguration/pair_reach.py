@@ -69,18 +69,11 @@ class Budget:
                 raise Undecided(is_too_large=False)
         is_short = departure.mission.control_norm == "inf" and steps <= LINEAR_STEPS
         self.spend(seconds * (LINEAR if is_short else 1.0))
-        is_reachable = can_transfer(departure, target, steps, factor)
+        transfer = _make_transfer(departure, departure.discretize(steps), factor)
+        is_reachable = solve_transfer(transfer, departure.state[0], target) is not None
         if not is_reachable:
             self._left -= refusal
         return is_reachable
-
-    def spend_on_model(self, departure: Departure, steps: int) -> None:
-        """Take the time in which a model is discretized, and its matrices are made.
-
-        Raises:
-            Undecided: There is less.
-        """
-        self.spend(STEP_TIME[departure.mission.linear_model.is_time_invariant] * steps)
 
 
 class ControlBounds(NamedTuple):
@@ -207,14 +200,6 @@ def bound_controls(
     b = compute_displacements(model, departure.state, targets)
     bounds = bound_least_controls(model, b.reshape(-1, b.shape[2]), limit)
     return ControlBounds(*(bound.reshape(b.shape[:2]) for bound in bounds))
-
-
-def can_transfer(
-    departure: Departure, target: Float[Array, " n"], steps: int, factor: float
-) -> bool:
-    """Tell whether an agent can reach a target, by the program of its transfer."""
-    transfer = _make_transfer(departure, departure.discretize(steps), factor)
-    return solve_transfer(transfer, departure.state[0], target) is not None
 
 
 def group_alike(departure: Departure, factor: float) -> Iterator[Int[Array, " k"]]:

@@ -1,5 +1,6 @@
 """Passive safety: which missions can have it, and which targets."""
 
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,13 +28,18 @@ def check(mission: "Reconfiguration") -> None:
             reason = "has no effect without plan.passive_safety_m; give both, or none"
             raise InputError("plan.passive_safety_min", reason)
         return
+    period, duration = mission.orbital_period, mission.passive_safety_time
+    is_too_long = duration is not None and duration > MAX_ORBITS * (period or inf)
+    is_foreseen = mission.flies_model
+    if mission.nonlinear_model is not None:
+        is_foreseen = isinstance(mission.plant, PlantSettings) and mission.plant.ballistic is None
     for is_so, reason in (
         (mission.orbital_period is None, "is for orbits, where nothing can stop; leave it out"),
         (mission.has_noise, "needs a flight without [disturbance]: in two orbits an error of 1 mm/s"
          " becomes 30 m"),
-        (not _is_foreseen(mission), 'needs the motion that is flown: model.kind = "j2" with neither'
+        (not is_foreseen, 'needs the motion that is flown: model.kind = "j2" with neither'
          ' drag nor a plant of your own, or plant = "model"'),
-        (_lasts_too_long(mission), f"is for drifts of up to {MAX_ORBITS:g} orbits; a shorter"
+        (is_too_long, f"is for drifts of up to {MAX_ORBITS:g} orbits; a shorter"
          " plan.passive_safety_min would do"),
         (mission.orders > 1, "knows one order of priority; plan.orders = 1 would do"),
     ):  # fmt: skip
@@ -41,25 +47,11 @@ def check(mission: "Reconfiguration") -> None:
             raise InputError("plan.passive_safety_m", reason)
 
 
-def _lasts_too_long(mission: "Reconfiguration") -> bool:
-    period, duration = mission.orbital_period, mission.passive_safety_time
-    return period is not None and duration is not None and duration > MAX_ORBITS * period
-
-
-def _is_foreseen(mission: "Reconfiguration") -> bool:
-    if mission.nonlinear_model is None:
-        return mission.flies_model
-    return isinstance(mission.plant, PlantSettings) and mission.plant.ballistic is None
-
-
 def check_targets(mission: "Reconfiguration") -> None:
     """Refuse targets that do not keep the distance themselves for as long as drifts are to.
 
-    Args:
-        mission: A drawn mission.
-
     Raises:
-        InputError: Two targets of a leg do not.
+        InputError: Two targets of a leg of the drawn mission do not.
     """
     if mission.passive_safety is None:
         return
@@ -83,11 +75,8 @@ def check_targets(mission: "Reconfiguration") -> None:
 def check_network(mission: "Reconfiguration") -> None:
     """Refuse starts in several networks: a drift leads far, and nobody knows of another network.
 
-    Args:
-        mission: A drawn mission.
-
     Raises:
-        InputError: There are several.
+        InputError: Those of the drawn mission are.
     """
     if mission.passive_safety is None:
         return

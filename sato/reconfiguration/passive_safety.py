@@ -45,16 +45,6 @@ class OfferedDrifts(NamedTuple):
         return np.array([is_safe(a, b) and is_safe(b, a) for a, b in pairs], dtype=bool)
 
 
-def offer_drifts(
-    context: DecisionContext, steps: int, x: Float[Array, "agents 2 _ n"], u: Array
-) -> OfferedDrifts | None:
-    """Return the drifts of trajectories over some steps; None where nobody looks at them."""
-    if not context.mission.is_passively_safe:
-        return None
-    horizon = make_horizon(context.mission, context.time, steps)
-    return OfferedDrifts(horizon, horizon.follow(x, u))
-
-
 def begin_passively_safe(
     context: DecisionContext,
     planners: dict[int, Planner],
@@ -63,11 +53,7 @@ def begin_passively_safe(
 ) -> dict[int, Planner]:
     """Let agents begin with the rests of their plans, or their solo trajectories, and drifts.
 
-    Args:
-        context: States, memory, graph and time.
-        planners: Planners of the agents.
-        previous: Plans that were flown so far.
-        clocks: Clock of each agent; all of a network look as far as the one with most time left.
+    All of a network look ahead as far as the one whose clock has most time left.
     """
     component, found = context.graph.component, dict[int, Planner]()
     for network in np.unique(component[list(planners)]):
@@ -106,8 +92,10 @@ def _follow_nominals(
         controls = np.stack([u[i] for i in agents])
         if is_new:
             x = np.stack([planners[i].solo.x for i in agents])
-        else:
-            x = _fly_on(context, agents, controls)
+        else:  # along the rests of their plans
+            fine, h = np.repeat(controls, FINE_STEPS, axis=1), context.mission.step / FINE_STEPS
+            x = simulate(context.mission, context.state[agents], fine, context.time, h)
+            x = x[:, ::FINE_STEPS]
         followed = horizon.follow(x, controls)
         for row, i in enumerate(agents):
             fuel = float(compute_spent(context.mission, u[i]))
@@ -125,15 +113,6 @@ def _foresee(
     return Drifts(path, np.where((horizon.step == 0)[:, None, None], own.drifts, 0.0))
 
 
-def _fly_on(
-    context: DecisionContext, agents: list[int], u: Float[Array, "agents T m"]
-) -> Float[Array, "agents _ n"]:
-    """Return the states of agents along the rests of their plans."""
-    mission, fine = context.mission, np.repeat(u, FINE_STEPS, axis=1)
-    h = mission.step / FINE_STEPS
-    return simulate(mission, context.state[agents], fine, context.time, h)[:, ::FINE_STEPS]
-
-
 def follow_targets(
     mission: Reconfiguration, leg: Leg, time: float, steps: int
 ) -> tuple[DriftHorizon, Float[Array, "targets later 4 d"]]:
@@ -148,7 +127,8 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
     assert mission.passive_safety is not None and mission.orbital_period is not None
     model, dt, period = mission.linear_model, mission.step, mission.orbital_period
     duration = mission.passive_safety_time or FREE_ORBITS * period
-    swing = _perigee_rate(mission)
+    e = 0.0 if mission.chief is None else mission.chief.orbit.eccentricity
+    swing = float((1 + e) ** 2 / (1 - e**2) ** 1.5)  # rate of the chief at perigee over its mean
     h, longest = period / ceil(PIECES_PER_ORBIT * swing), period / (STEPS_PER_ORBIT * swing**2)
 
     def move(x: StateSamples, t: float, length: float) -> StateSamples:
@@ -161,9 +141,3 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
     distance = mission.passive_safety + DRIFT_ERROR * max(1.0, duration / period)
     piecewise = AvoidanceHorizon(plan, plan, distance)
     return DriftHorizon(piecewise, later, move, time, duration, distance)
-
-
-def _perigee_rate(mission: Reconfiguration) -> float:
-    """Return the angular rate of the chief at perigee, over its mean."""
-    e = 0.0 if mission.chief is None else mission.chief.orbit.eccentricity
-    return float((1 + e) ** 2 / (1 - e**2) ** 1.5)

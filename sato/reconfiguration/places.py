@@ -26,12 +26,7 @@ def draw_targets(
 ) -> Float[Array, "k n"]:
     """Return the targets of a leg as states, which are reached at a time [s].
 
-    Args:
-        mission: Mission.
-        number: Number of the leg, for errors.
-        leg: The leg.
-        demand: Least number of targets.
-        arrival: Time at which they are reached [s].
+    There are as many as the demand, or more. The number of the leg is for errors.
 
     Raises:
         InputError: They cannot be placed, or are too fast.
@@ -63,16 +58,10 @@ def draw_joins(
     begin: float,
     rng: np.random.Generator,
 ) -> Leg:
-    """Return a leg with the states at which agents join.
+    """Return a leg with the states at which agents join, numbered from the first.
 
-    Args:
-        mission: Mission.
-        number: Number of the leg, for errors.
-        leg: The leg.
-        known: States of agents that may be there when it begins.
-        first: Number of the first agent that joins.
-        begin: Time at which the leg begins [s].
-        rng: Draws starts.
+    The known states are those of agents that may be there when it begins, at that time [s]. The
+    number of the leg is for errors.
 
     Raises:
         InputError: They cannot be placed, are too close to others or too fast.
@@ -105,16 +94,9 @@ def draw_start(
     t: float,
     rng: np.random.Generator,
 ) -> Float[Array, "count n"]:
-    """Return the states of agents that start or join.
+    """Return the states of agents that start or join at a time t [s].
 
-    Args:
-        mission: Mission.
-        where: Key of the start, for errors.
-        start: Start as it is asked for.
-        agents: Numbers of the agents.
-        occupied: Positions of others [m].
-        t: Time [s].
-        rng: Draws starts.
+    Other agents occupy some positions [m]. `where` is the key of the start, for errors.
 
     Raises:
         InputError: They cannot be placed, are too close to others or too fast.
@@ -151,13 +133,7 @@ def _check_separation(
 ) -> None:
     """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
-    Args:
-        mission: The ellipsoid that two keep.
-        placed: Starts or targets [m].
-        occupied: Places of others [m].
-        radii: R of the vehicles at both [m].
-        noun: "agent" or "target", for the error.
-        first: Number of the first one.
+    The radii are those at both, and `first` is the number of the first that is placed.
 
     Raises:
         InputError: Two are too near.

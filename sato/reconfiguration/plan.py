@@ -75,9 +75,8 @@ def has_changed_network(
 ) -> Bool[Array, " agents"]:
     """Find the agents whose network is not the one that they decided in last.
 
-    Args:
-        claim_step: Step of the latest claim of each other, as each agent knows; −1 never.
-        is_beside: True for the others in the network of each, and for itself.
+    Each knows the step of the latest claim of each other, −1 for never. `is_beside` is True for the
+    others in the network of each, and for itself.
     """
     own = claim_step.diagonal()[:, None]
     was_beside = claim_step == own  # all of a network claim in the same step

@@ -1,5 +1,6 @@
 """Planning of trajectories: each agent alone, then conflict resolution among neighbors."""
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from math import ceil, inf, isfinite
 from typing import NamedTuple
@@ -44,12 +45,8 @@ def plan_trajectories(
 ) -> Planning:
     """Plan for every agent that decides: alone first, then clear of the others.
 
-    Args:
-        context: States, memory and graph of the agents that decide.
-        spent: Fuel or energy spent so far; the agent that has spent less gives way.
-        previous: Plans that were flown so far.
-        solve_count: Programs solved for this replanning already.
-        clocks: Clock of each agent before it decided; that of its memory by default.
+    The agent that has spent less fuel or energy gives way. Some programs may have been solved for
+    this replanning already. The clocks are those before they decided, of the memory by default.
     """
     mission, graph = context.mission, context.graph
     if mission.is_passively_safe:
@@ -80,18 +77,13 @@ def plan_trajectories(
 def make_plans(
     context: DecisionContext,
     planners: dict[int, Planner],
-    unreachable: list[int],
+    unreachable: Sequence[int],
     previous: Plans,
     hears_all: bool,
 ) -> tuple[Plans, list[Event]]:
     """Make plans of trajectories that are final, and list the constraints that were relaxed.
 
-    Args:
-        context: Memory and time of the agents that decide.
-        planners: Planner of each agent, by its row.
-        unreachable: Agents whose targets are out of reach.
-        previous: Plans that were flown so far.
-        hears_all: True where all agents of the mission hear each other, without a relay.
+    `hears_all` is True where all agents of the mission hear each other, without a relay.
     """
     mission, k, target = context.mission, context.step_index, context.memory.target_index
     events = list_relaxations(mission, planners, unreachable)
@@ -154,11 +146,8 @@ def plan_alone(
 ) -> tuple[dict[int, Planner], list[int], int]:
     """Plan for every agent that decides as if it were alone.
 
-    Args:
-        context: States, memory and graph of the agents that decide.
-        spent: Fuel or energy spent so far.
-        previous: Plans that were flown so far.
-        heard_clock: Clock with the most time left in each agent's component, as it was announced.
+    `heard_clock` is the clock with the most time left in each agent's component, as it was
+    announced.
 
     Returns:
         Planners, agents whose targets are out of reach, and the number of programs solved.

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.pair_reach import (
+    STEP_TIME,
     Budget,
     ControlBounds,
     Undecided,
@@ -43,11 +44,8 @@ def check_reach(
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
 
     Where neither bounds nor the programs of some seconds decide, the mission is not refused. What
-    would do is found by bounds and such programs too, and proven: less may be enough.
-
-    Args:
-        mission: A drawn mission.
-        targets_after: States to reach in a leg after a number of steps, where they depend on it.
+    would do is found by bounds and such programs too, and proven: less may be enough. States to
+    reach in a leg are given after a number of steps, where they depend on it.
 
     Raises:
         InputError: An agent can reach none of the targets that it bids on, or too few of them
@@ -124,7 +122,8 @@ class _Search:
         try:
             targets = self.targets_after(steps)
             if not are_at_rest(departure, targets):
-                self.budget.spend_on_model(departure, steps)
+                is_fixed = departure.mission.linear_model.is_time_invariant
+                self.budget.spend(STEP_TIME[is_fixed] * steps)
             own = steps, factor, self.bounds, self.budget
             return find_stranded(departure, targets, *own) is None
         except Undecided as undecided:
@@ -137,13 +136,8 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
     that it can.
 
-    Args:
-        where: Key of the steps, for the error.
-        departure: Vehicles at the start of the leg.
-        targets_after: States to reach after a number of steps.
-
     Raises:
-        InputError: No number of steps is enough.
+        InputError: No number of steps is enough; the key of the steps is `where`.
     """
     search, longest = (
         _Search(departure, targets_after, AUTOMATIC_TIME),

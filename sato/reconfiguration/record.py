@@ -46,24 +46,24 @@ class ReconfigurationVariables(NamedTuple):
 
 def collect_attributes(mission: Reconfiguration) -> dict[str, Any]:
     """Collect radii, limits and constants for the attributes of the run file."""
-    orbit = mission.flown_plant.chief_orbit
-    axes = {
-        "max_control_axes_m_s2": mission.max_control_axes,
-        "max_speed_axes_m_s": mission.max_speed_axes,
-    }
+    orbit, chief = mission.flown_plant.chief_orbit, mission.chief
+    body = EARTH if orbit is None else find_body(orbit.mu)
     found = {
         "comm_radius_m": mission.comm_radius,
         "collision_radius_m": mission.collision_radius,
-        **({} if mission.max_control is None else {"max_control_m_s2": mission.max_control}),
+        "max_control_m_s2": mission.max_control,
         "max_speed_m_s": mission.max_speed,
-        **{name: each for name, each in axes.items() if each is not None},
-        **({} if mission.chief is None else {"epoch": mission.chief.epoch}),
-        **({} if orbit is None else {"mu_m3_s2": orbit.mu, "k_j2_m5_s2": orbit.k_J2}),
+        "max_control_axes_m_s2": mission.max_control_axes,
+        "max_speed_axes_m_s": mission.max_speed_axes,
+        "epoch": chief and chief.epoch,
+        "mu_m3_s2": orbit and orbit.mu,
+        "k_j2_m5_s2": orbit and orbit.k_J2,
     }
-    if orbit is not None and (body := find_body(orbit.mu)) is not EARTH:
+    if body is not EARTH:
         found["center"] = body.name.removeprefix("the ").upper().replace(" ", "_")
+    known = {name: value for name, value in found.items() if value is not None}
     # An array of one entry is read back as a number.
-    return {k: v[0] if isinstance(v, tuple) and len(v) == 1 else v for k, v in found.items()}
+    return {k: v[0] if isinstance(v, tuple) and len(v) == 1 else v for k, v in known.items()}
 
 
 def collect_variables(
@@ -77,13 +77,15 @@ def collect_variables(
         counts[event["leg"], live] = np.asarray(event["believed"])[live]
     elements = [mission.flown_plant.chief_elements(frame.time) for frame in frames]
     known = [chief for chief in elements if chief is not None]
+    received = frames[-1].received
+    messages, size = (None, None) if received is None else received
     return ReconfigurationVariables(
         target_position=position,
         target_velocity=velocity,
         targets_believed=counts,
-        purpose=None if frames[-1].received is None else np.array(PURPOSES),
-        received_messages=None if frames[-1].received is None else frames[-1].received[0],
-        received_bytes=None if frames[-1].received is None else frames[-1].received[1],
+        purpose=None if received is None else np.array(PURPOSES),
+        received_messages=messages,
+        received_bytes=size,
         element=np.array(CHIEF_ELEMENTS) if known else None,
         chief=np.array(known) if known else None,
     )

@@ -1,5 +1,7 @@
 """Constraints that plans do not satisfy, as events of the record."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from sato.reconfiguration.mission import Reconfiguration
@@ -8,15 +10,9 @@ from sato.scp import FEASIBILITY_TOLERANCE, Planner
 
 
 def list_relaxations(
-    mission: Reconfiguration, planners: dict[int, Planner], unreachable: list[int]
+    mission: Reconfiguration, planners: dict[int, Planner], unreachable: Sequence[int]
 ) -> list[Event]:
-    """List the agents for which constraints were relaxed.
-
-    Args:
-        mission: Tolerances of arrival and of separation.
-        planners: Planner of each agent, by its row.
-        unreachable: Agents whose targets are out of reach.
-    """
+    """List the agents for which constraints were relaxed, or whose targets are out of reach."""
     tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
     slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
     failed = [i for i, p in planners.items() if p.has_failed]
@@ -30,7 +26,7 @@ def list_relaxations(
     events: list[Event] = [
         {"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())},
         {"kind": "braked", "agents": [i for i in planners if i in astray]},
-        {"kind": "infeasible", "agents": unreachable, "what": beyond},
+        {"kind": "infeasible", "agents": [*unreachable], "what": beyond},
         {"kind": "infeasible", "agents": failed, "what": blocked},
     ]
     return [event for event in events if event["agents"]]

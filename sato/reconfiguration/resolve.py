@@ -55,12 +55,8 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
 def check_margin(margin: float, verb: str, spacing: float, R: float, least: float = 0.0) -> None:
     """Refuse a margin that leaves no room between two targets.
 
-    Args:
-        margin: Margin [m].
-        verb: How it comes about, for the error.
-        spacing: Distance of the two [m].
-        R: Distance that their vehicles keep without a margin [m].
-        least: Least margin that would do [m].
+    They are as far apart as the spacing, and their vehicles keep R without a margin [m]. The
+    verb says how the margin comes about, for the error, and `least` what would do at least [m].
 
     Raises:
         InputError: It does not; says what would do.

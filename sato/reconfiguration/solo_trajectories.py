@@ -28,12 +28,7 @@ def solve_solo_trajectories(
 
     The shared linear model comes first; where the dynamics are nonlinear, the trajectories are
     linearized about that solution once more, after which the remaining error is negligible.
-
-    Args:
-        context: States, memory and time.
-        model: Shared model over the steps that remain.
-        agents: Numbers of the agents.
-        previous: Remaining controls of each agent's previous plan, if they still reach its target.
+    Previous plans are given by their remaining controls, if they still reach the targets.
 
     Returns:
         Each agent's own dynamics, and its trajectory; the numbers of those that neither a
@@ -92,14 +87,8 @@ def solve_solo_transfers(
 ) -> tuple[list[Trajectory | None], int]:
     """Solve one transfer for many agents, and count the programs solved one by one.
 
-    Args:
-        transfer: Dynamics, the same for all or those of each, and limits.
-        start: States of the agents.
-        targets: Target of each.
-        solvers: Solver of each; the default where empty.
-
-    Returns:
-        Trajectories; None where the target is out of reach.
+    The dynamics are the same for all, or those of each. Trajectories are None where the target is
+    out of reach.
     """
     model, solvers = transfer.model, solvers or [solve_program] * len(start)
     if len(model) == 0:

@@ -70,7 +70,8 @@ class Random(Definition):
         if self.depth is not None and (axes == 2 or self.box is None):
             missing = "a model in space" if axes == 2 else "a box_m for its other sides"
             raise InputError("depth_m", f"needs {missing}")
-        box = self.box or _default_box(count, axes, mission.comm_radius)
+        ball = {2: np.pi, 3: 4 / 3 * np.pi}[axes] * mission.comm_radius**axes
+        box = self.box or float((count * ball / MEAN_NEIGHBORS) ** (1 / axes))
         half = np.array([box, box, box if self.depth is None else self.depth])[:axes] / 2
         center = center_in(self.center, axes)
         components = 0
@@ -127,8 +128,3 @@ def start_without_files(start: Start, count: int, axes: int) -> Start:
     kept = replace(start, keep_order=True) if isinstance(start, Points) else start
     listed: Points = kept.without_files(count, axes)
     return listed
-
-
-def _default_box(count: int, axes: int, comm_radius: float) -> float:
-    ball = {2: np.pi, 3: 4 / 3 * np.pi}[axes] * comm_radius**axes
-    return float((count * ball / MEAN_NEIGHBORS) ** (1 / axes))

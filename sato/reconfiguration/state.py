@@ -78,14 +78,9 @@ def update_believed(
     flown: Leg,
     recount: bool,
 ) -> Int[Array, " agents"]:
-    """Return in how many agents each believes after a leg.
+    """Return in how many agents each believes after a leg, from its memory at the end.
 
-    Args:
-        mission: The mission, in which agents bid on all targets or not.
-        believed: The same before the leg.
-        memory: Memory at its end.
-        flown: The leg.
-        recount: True where the next leg takes the number of bidders.
+    The next leg takes the number of bidders where it recounts.
     """
     counted = memory.bidder_count
     is_free = mission.uses_all_targets(flown)

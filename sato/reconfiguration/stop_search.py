@@ -34,15 +34,8 @@ def search_stops(
     """List stops of a vehicle, those that rest earliest first.
 
     They keep its limits, and are clear of all bodies at the beginnings of pieces; whether in
-    between, too, is for the caller to check.
-
-    Args:
-        mission: Limits.
-        horizon: Horizon in which it has come to rest.
-        agent: Number of the agent.
-        start: Its state.
-        rest_steps: Steps at the end of the horizon for which it rests.
-        bodies: All that it has to avoid.
+    between, too, is for the caller to check. It rests for so many steps at the end of the
+    horizon.
     """
     limit, speed = mission.planned_control_limit(agent), mission.stop_speed_limit(agent)
     d, h, S = mission.axes, mission.step, horizon.pieces_per_step

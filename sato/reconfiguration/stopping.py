@@ -76,12 +76,7 @@ def end_at_rest(
 ) -> tuple[Float[Array, "each T m"], Int[Array, " each"]]:
     """Let double integrators stop at once after some steps of controls.
 
-    Args:
-        mission: Limits.
-        agents: Number of the agent of each.
-        velocity: Velocity of each before the first step [m/s].
-        u: Controls, of which each begins with some.
-        steps: Number of these.
+    The velocities are those before the first step [m/s].
 
     Returns:
         Controls, 0 after the last of each, and how many each has.
@@ -223,17 +218,8 @@ def find_stop(
 ) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
-    Args:
-        mission: Limits.
-        horizon: Horizon in which all have come to rest.
-        agent: Number of the agent.
-        start: State of the agent.
-        wanted: Wanted state.
-        wanted_step: Steps after which it is wanted.
-        nominal: Control points about which the half-spaces are chosen.
-        avoided: Others and obstacles.
-        solver: Solver of the program.
-        side: Side on which to pass others that the nominal meets.
+    All have come to rest at the end of the horizon. The half-spaces are chosen about the nominal;
+    others that it meets are passed on the given side.
 
     Returns:
         Controls, states and control points; None where none is found.

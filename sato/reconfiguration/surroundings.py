@@ -101,11 +101,7 @@ class Surroundings(NamedTuple):
     ) -> ObstaclePaths | None:
         """Return those that an agent knows, with the distances that it keeps.
 
-        Args:
-            mission: Radii of the vehicles.
-            agent: Number of the agent.
-            paths: Motion of all over a horizon.
-            clearance: Clearance of the horizon [m].
+        The paths are the motion of all over a horizon of this clearance [m].
         """
         rows = np.flatnonzero(self.is_known[agent])
         if paths is None or not len(rows):
@@ -133,13 +129,9 @@ class Surroundings(NamedTuple):
 
 
 def count_escape_steps(mission: Reconfiguration, size: float) -> int:
-    """Count the steps in which vehicles get out of the way of what moves.
+    """Count the steps in which vehicles get out of the way of what moves, of a radius [m].
 
     From rest, twice as far as it is wide, at the least control, and two decisions.
-
-    Args:
-        mission: Limits of the vehicles.
-        size: Radius of what moves [m].
     """
     way = ESCAPE_FACTOR * 2 * (size + mission.largest_separation)
     U, V = mission.least_braking, float(mission.top_speeds.min())
@@ -163,11 +155,8 @@ def sense_surroundings(
 ) -> Surroundings | None:
     """Return what one agent knows of its surroundings; None where there is nothing.
 
-    Args:
-        mission: A drawn mission.
-        time: Time since the start of the mission [s].
-        rows: Rows of the agent's arrays.
-        seen: Obstacles that it has seen, as they are now, and numbers and states of lost vehicles.
+    It has seen obstacles, as they are now, and numbers and states of lost vehicles. Its arrays
+    have so many rows.
     """
     obstacles = [one for one in seen if isinstance(one, Obstacle)]
     around = _place_known(mission, time, rows).join(_place(obstacles, mission.axes, 0.0, rows))

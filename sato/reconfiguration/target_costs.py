@@ -44,13 +44,8 @@ def trust_plans(
 ) -> CostTable:
     """Return the costs, with the plans to targets that are out of reach by them.
 
-    A plan that was found stays feasible: where it is tight, rounding must not say otherwise.
-
-    Args:
-        context: States and memory of the agents that decide.
-        table: Their costs.
-        planned_cost: Fuel or energy left in the plan to the target that each holds; infinite
-            without a plan.
+    A plan that was found stays feasible: where it is tight, rounding must not say otherwise. Its
+    cost is the fuel or energy left to the target that the agent holds, infinite without a plan.
     """
     mission, leg, memory = context.mission, context.leg, context.memory
     table = CostTable(*(part.copy() for part in table))

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
-from problems.transfer import Trajectory
+from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
     correct,
@@ -53,12 +53,7 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     period later in the direction in which it is largest, by all its measurements, and c by the
     first of them alone, both under full control. The agent flies by a reference that its estimate
     leaves by g sigmas at most, and where it never does, the reference is the first measurement.
-    Without noise of measurement, the state is known at k.
-
-    Args:
-        mission: Model and noise.
-        period: Steps between two plans.
-        whole: Steps of the flight.
+    Without noise of measurement, the state is known at k. The whole flight has so many steps.
     """
     R, two = measurement_covariance(mission), MARGIN_SIGMAS * 2**0.5
     if mission.tracking is not None:
@@ -66,7 +61,7 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     whole = whole if R.any() else 1
     model = mission.discretize(whole + period)
     W, P, first, most = _acceleration_covariance(mission), R, R, 0.0
-    wrong = _believed_covariance(mission) if R.any() else W
+    wrong = _acceleration_covariance(mission, is_believed=True) if R.any() else W
     for k in range(whole):
         s, c = (_largest_sigmas(_spread(model[k:], one, W, period))[0] for one in (P, first))
         kept = (2 * GATE_SIGMAS + two) * s
@@ -77,14 +72,12 @@ def compute_random_margin(mission: Reconfiguration, period: int, whole: int = LO
     return most
 
 
-def _acceleration_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
-    return np.asarray(np.eye(mission.axes) * largest_disturbance(mission) ** 2)
-
-
-def _believed_covariance(mission: Reconfiguration) -> Float[Array, "d d"]:
-    """Return the same with the errors of the model, by which agents filter their measurements."""
-    wrong = model_acceleration(mission) ** 2 * np.eye(mission.axes)
-    return np.asarray(_acceleration_covariance(mission) + wrong)
+def _acceleration_covariance(
+    mission: Reconfiguration, is_believed: bool = False
+) -> Float[Array, "d d"]:
+    """Return that of disturbances; and of the model's errors, as agents filter measurements."""
+    wrong = model_acceleration(mission) ** 2 if is_believed else 0.0
+    return np.asarray(np.eye(mission.axes) * (largest_disturbance(mission) ** 2 + wrong))
 
 
 def _spread(model: DiscreteModel, P: Array, W: Array, steps: int) -> Float[Array, "n n"]:
@@ -249,7 +242,7 @@ def _final_covariance(mission: Reconfiguration, steps: int) -> Float[Array, "n n
     P = R = measurement_covariance(mission)
     if R.any():
         model = mission.discretize(steps)
-        W = _believed_covariance(mission)
+        W = _acceleration_covariance(mission, is_believed=True)
         for k in range(steps):
             P = correct(spread(model, k, P, W), R)
     return P
@@ -260,7 +253,6 @@ def _speed_to_lose(mission: Reconfiguration, steps: int) -> float:
     from scipy.optimize import linear_sum_assignment
 
     from problems.auction_cost import compute_transfer_costs
-    from problems.transfer import TransferProblem
 
     d, fastest = mission.axes, float(mission.top_speeds.max())
     if mission.is_point_mass:

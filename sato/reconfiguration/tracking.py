@@ -102,13 +102,9 @@ def add_feedback(
     reference: Float[Array, "agents n"],
     mean: Float[Array, "agents n"],
 ) -> Float[Array, "agents d"]:
-    """Return planned controls with the feedback, within the limits.
+    """Return planned controls with the feedback, within the limits [m/s²].
 
-    Args:
-        mission: Limits and noise.
-        control: Planned controls; NaN for agents that are not there [m/s²].
-        reference: References of the agents.
-        mean: Their estimates.
+    They are NaN for agents that are not there.
     """
     if mission.tracking is None:
         return control

@@ -193,6 +193,7 @@ class Field:
         self.variants = tuple(kind for kind in classes if is_definition(kind))
         self.others = tuple(kind for kind in classes if not is_definition(kind))
         self.is_inline = Inline in marks
+        self.may_be_huge = getattr(marks.get(Le), "le", 0) > LARGEST
         self.is_list = get_origin(self.hint) is tuple and bool(self.variants)
         # A table of its own: one definition without a choice.
         self.is_nested = len(self.variants) == 1 and not (self.is_list or self.is_inline)
@@ -239,7 +240,8 @@ class Field:
             reason = f"must be text without controls, of at most {LONGEST_TEXT} characters"
             raise InputError("", f"{reason}, got {format_value(value)}")
         try:
-            return check_range(self._adapter.validate_python(value))
+            found = self._adapter.validate_python(value)
+            return found if self.may_be_huge else check_range(found)
         except ValidationError as error:
             raise explain(error) from error
 

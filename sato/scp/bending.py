@@ -12,7 +12,7 @@ from problems.obstacle_paths import nearest_points, select_near
 from problems.path_separation import enclosing_balls, near_pieces
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
-from sato.scp.planner import Planner
+from sato.scp.planner import Planner, pair_clearances
 
 ROOM = 1.1  # distance to which paths are pushed, over the one that is kept
 GAIN = 1.7  # by which a push exceeds what is lacking, as others average it
@@ -77,7 +77,7 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     path, last = agent.control_points[:, 0], count_pieces_left(agent) - 1
     rank = np.array([other.rank for other in inbox])
     share = np.where(rank == agent.priority[0], 0.5, rank < agent.priority[0])
-    R = (np.array([other.clearance for other in inbox]) + agent.horizon.clearance) / 2
+    R = pair_clearances(inbox, agent.horizon.clearance)
     relative = path - np.stack([other.path for other in inbox])
     apart = np.linalg.norm(relative, axis=2)
     near = _are_too_near(apart, R, last) & (share > 0)

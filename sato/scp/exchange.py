@@ -17,23 +17,25 @@ from sato.network.rounds import run_round
 from sato.scp.planner import Planner, may_have_to_solve, update_planner
 
 
-class ExchangeResult(NamedTuple):
-    """Trajectories that are final."""
+class ConflictResolution(NamedTuple):
+    """Trajectories that agents agreed on, and the effort it took."""
 
     planners: dict[int, Planner]
-    round_count: int  # exchanges
+    round_count: int  # rounds of messages, floods included
+    solve_count: int  # programs
     load: Load
 
 
-def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> ExchangeResult:
-    """Exchange trajectories until those of all agents are final.
-
-    Args:
-        planners: Planner of each agent, by its number.
-        graph: Communication graph.
-    """
+def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> ConflictResolution:
+    """Exchange trajectories until those of all agents are final."""
     history = [dict(planners), *run_batched(planners, graph)]
-    return ExchangeResult(history[-1], len(history) - 1, _count_load(history, graph))
+    effort = len(history) - 1, count_solves(history[-1]), _count_load(history, graph)
+    return ConflictResolution(history[-1], *effort)
+
+
+def count_solves(planners: Mapping[int, Planner]) -> int:
+    """Count the programs that all agents solved."""
+    return sum(agent.solve_count for agent in planners.values())
 
 
 def _count_load(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:

@@ -13,7 +13,6 @@ An agent gives way alone to those of a higher class of priority, and to none of 
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,22 +37,13 @@ RELAXATIONS: tuple[Relaxation, ...] = ("none", "half-spaces")
 Update = Callable[[dict[int, Planner], CommunicationGraph], dict[int, Planner]]
 
 
-class MeetingResult(NamedTuple):
-    """Trajectories of agents that give way to each other."""
-
-    planners: dict[int, Planner]
-    round_count: int  # in which something changed
-    load: Load
-
-
-def meet_halfway(planners: Mapping[int, Planner], graph: CommunicationGraph) -> MeetingResult:
-    """Let all agents bend their paths and solve for trajectories, in rounds.
+def meet_halfway(
+    planners: Mapping[int, Planner], graph: CommunicationGraph
+) -> tuple[dict[int, Planner], int, Load]:
+    """Let all agents bend their paths and solve for trajectories; count rounds with a change.
 
     The batched equivalent of `halfway_stages`: agents that have nothing to change are left out.
-
-    Args:
-        planners: Planner of each agent, by its number; of horizons with equal steps.
-        graph: Communication graph.
+    All horizons have equal steps.
     """
     spread = [dict(planners), spread_all(dict(planners), graph)]
     bends = _repeat(MAX_BENDS, bend_all, spread[-1], graph)
@@ -61,7 +51,7 @@ def meet_halfway(planners: Mapping[int, Planner], graph: CommunicationGraph) -> 
     done = {i: come_after(agent) for i, agent in meetings[-1].items()}
     count = 1 + min(len(bends), MAX_BENDS) + min(len(meetings), MEETINGS)
     load = _count_bending([*spread, *bends[1:]], graph).plus(_count_meetings(meetings, graph))
-    return MeetingResult(done, count, load)
+    return done, count, load
 
 
 def _repeat(

@@ -23,7 +23,7 @@ from problems.transfer import Trajectory
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
-from sato.scp.exchange import count_trajectories
+from sato.scp.exchange import ConflictResolution, count_trajectories
 from sato.scp.planner import (
     ACTIVE_TOLERANCE,
     NEARBY_FACTOR,
@@ -34,12 +34,7 @@ from sato.scp.planner import (
     reaches_target,
     required_separations,
 )
-from sato.scp.priority_orders import (
-    ConflictResolution,
-    PriorityCost,
-    component_costs,
-    compute_priority_cost,
-)
+from sato.scp.priority_orders import PriorityCost, component_costs, compute_priority_cost
 
 COST_TOLERANCE = 1e-9  # part of the cost of two: a smaller difference counts as none
 MIN_IMPROVEMENT = 1e-3  # part of a component's cost: a sweep that saves less is its last
@@ -83,12 +78,9 @@ class Negotiator(NamedTuple):
 def negotiate(
     planners: Mapping[int, Planner], graph: CommunicationGraph, sweeps: int
 ) -> ConflictResolution:
-    """Let every two nearby agents negotiate once a sweep.
+    """Let every two nearby agents negotiate once a sweep, by final trajectories of all.
 
-    Args:
-        planners: Planner of each live agent, by its number, with a final trajectory.
-        graph: Communication graph.
-        sweeps: Largest number of sweeps; fewer in a component where the last one saved little.
+    There are fewer sweeps in a component where the last one saved little.
     """
     now, rounds, solves, load = dict(planners), 0, 0, Load.none(len(graph.alive))
     flooding = int(graph.diameter[list(now)].max(initial=0))
@@ -165,13 +157,7 @@ def _nominal_points(agent: Planner) -> Float[Array, "pieces 4 d"]:
 def negotiate_pairs(
     planners: Mapping[int, Planner], graph: CommunicationGraph, turn: Mapping[int, int]
 ) -> dict[int, Negotiator]:
-    """Run one turn by messages: trajectories, then offers, then agreements.
-
-    Args:
-        planners: Planner of each agent, by its number.
-        graph: Communication graph.
-        turn: Partner of each agent whose turn it is.
-    """
+    """Run one turn of partners by messages: trajectories, then offers, then agreements."""
     states = {i: Negotiator(planners[i], partner) for i, partner in turn.items()}
     trajectories = {i: agent.message for i, agent in planners.items()}
     states = run_round(graph, states, _make_offer, trajectories)

@@ -30,8 +30,7 @@ class PassiveSafety(NamedTuple):
     def is_safe(self, above: Mapping[int, Drifts]) -> bool:
         """Tell whether all drifts keep the distance, and the plan from the drifts of others.
 
-        Args:
-            above: Motion of those that it must avoid, by number; the rest avoid it.
+        Those above, by number, it must avoid; the others avoid it.
         """
         return self.find_conflicts(above, KEPT_FACTOR).size == 0
 

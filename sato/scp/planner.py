@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -36,7 +36,8 @@ PASSING_SIDES: dict[int, tuple[convexify.PassingSide, ...]] = {
 }
 # Where all are infeasible: what is relaxed, the side on which to pass the neighbors, and whether
 # to convexify about stopping at once. Tried in this order.
-RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
+Attempt = tuple[Relaxation, convexify.PassingSide, bool]
+RELAXATION_ORDER: tuple[Attempt, ...] = (
     ("terminal", "same", False),
     ("terminal", "opposite", False),
     ("terminal", "same", True),
@@ -44,13 +45,9 @@ RELAXATION_ORDER: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
 )
 FEASIBILITY_TOLERANCE = 1e-6  # of R: smaller violations and terminal errors count as none
 RELAXATIONS_IN_TURN = (RELAXATION_ORDER[0], RELAXATION_ORDER[2])  # where all can wait
-RELAXATIONS_FOR_DRIFTS: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
-    ("half-spaces", "same", False),
-)
+RELAXATIONS_FOR_DRIFTS: tuple[Attempt, ...] = (("half-spaces", "same", False),)
 # The printed method has none; without one an agent would have nothing to fly.
-RELAXATIONS_AS_PRINTED: tuple[tuple[Relaxation, convexify.PassingSide, bool], ...] = (
-    ("separation", "nominal", False),
-)
+RELAXATIONS_AS_PRINTED: tuple[Attempt, ...] = (("separation", "nominal", False),)
 MAX_SOLVES_IN_TURN = 4
 MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4 keeps it safe)
 
@@ -246,9 +243,7 @@ def drifts_of(messages: Sequence[TrajectoryMessage]) -> dict[int, Drifts]:
     return {m.priority[2]: m.drifts for m in messages if m.drifts is not None}
 
 
-def pair_clearances(
-    messages: Sequence[TrajectoryMessage], clearance: float
-) -> Float[Array, " others"]:
+def pair_clearances(messages: Sequence[Any], clearance: float) -> Float[Array, " others"]:
     """Compute the clearance from each sender, the mean of both: (R_i + R_j)/2 and the margins."""
     return (np.array([message.clearance for message in messages], dtype=float) + clearance) / 2
 

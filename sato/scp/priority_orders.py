@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sato.network.graph import CommunicationGraph
-from sato.network.load import Load
 from sato.network.rounds import run_round
-from sato.scp.exchange import count_trajectories, run_scp
+from sato.scp.exchange import ConflictResolution, count_trajectories, run_scp
 from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
 
 
@@ -27,27 +26,16 @@ class PriorityCost(NamedTuple):
     extra_cost: float  # fuel [m/s] or energy [m²/s³] beyond that of its solo trajectory
 
 
-class ConflictResolution(NamedTuple):
-    """Trajectories that agents agreed on, and the effort it took."""
-
-    planners: dict[int, Planner]
-    round_count: int  # rounds of messages, floods included
-    solve_count: int  # programs
-    load: Load
-
-
 def try_priority_orders(
     planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int
 ) -> ConflictResolution:
     """Run Method 2 under several orders of priority; each component keeps its cheapest.
 
-    Args:
-        planners: Planner of each agent, by its number; the first order is that of `priority`.
-        graph: Communication graph.
-        orders: Largest number of orders; fewer where no agent of a component has a cost.
+    The first order is that of `priority`. There are fewer where no agent of a component has a
+    cost.
     """
-    kept, rounds, load = run_scp(planners, graph)
-    tried, solves = kept, count_solves(kept)
+    kept, rounds, solves, load = run_scp(planners, graph)
+    tried = kept
     if orders == 1 or not kept:
         return ConflictResolution(kept, rounds, solves, load)
     flooding = int(graph.diameter[list(kept)].max())
@@ -63,9 +51,8 @@ def try_priority_orders(
         if not costly:
             break
         planners = {i: offset_right(raise_priority(planners[i], tried[i]), 1.0) for i in costly}
-        tried, exchanges, more = run_scp(planners, graph)
-        load = load.plus(more)
-        rounds, solves = rounds + exchanges + flooding, solves + count_solves(tried)
+        tried, exchanges, programs, more = run_scp(planners, graph)
+        rounds, solves, load = rounds + exchanges + flooding, solves + programs, load.plus(more)
         kept = keep_cheaper(kept, tried, graph)
     return ConflictResolution(kept, rounds, solves, load)
 
@@ -80,11 +67,6 @@ def compute_priority_cost(agent: Planner) -> PriorityCost:
     )
 
 
-def count_solves(planners: Mapping[int, Planner]) -> int:
-    """Count the programs that all agents solved."""
-    return sum(agent.solve_count for agent in planners.values())
-
-
 def raise_priority(agent: Planner, tried: Planner) -> Planner:
     """Count the extra cost as spent, and where a constraint was relaxed that of `solo` as well."""
     (can_move, rank, agent_id), cost = agent.priority, compute_priority_cost(tried)
@@ -96,11 +78,8 @@ def raise_priority(agent: Planner, tried: Planner) -> Planner:
 def offset_right(agent: Planner, offset: float) -> Planner:
     """Bend the nominal of an agent in the plane to the right of its solo trajectory.
 
-    Agents that begin with a previous plan keep it, and with it the side on which they pass.
-
-    Args:
-        agent: Planner before the first exchange.
-        offset: Largest displacement, halfway, over R; to the left where negative.
+    Agents that begin with a previous plan keep it, and with it the side on which they pass. The
+    offset is the largest displacement, halfway, over R; to the left where negative.
     """
     pieces, points, d = agent.control_points.shape
     way = agent.control_points[-1, -1] - agent.control_points[0, 0]

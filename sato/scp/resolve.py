@@ -15,7 +15,7 @@ from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.network.rounds import run_round, schedule_turns
 from sato.scp import priority_orders
-from sato.scp.exchange import count_trajectories
+from sato.scp.exchange import ConflictResolution, count_solves, count_trajectories
 from sato.scp.negotiation import negotiate
 from sato.scp.planner import Planner, TrajectoryMessage, solve_around
 
@@ -26,7 +26,7 @@ RELAXATIONS: tuple[Relaxation, ...] = ("none", "separation")
 
 def resolve_conflicts(
     planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int, sweeps: int
-) -> priority_orders.ConflictResolution:
+) -> ConflictResolution:
     """Try orders of priority and then roundabouts, each followed by negotiation.
 
     Each component keeps the cheapest.
@@ -57,7 +57,7 @@ def resolve_conflicts(
             floods += 1
     for trial in trials:
         load = load.plus(trial.load)
-    return priority_orders.ConflictResolution(
+    return ConflictResolution(
         kept,
         sum(trial.round_count for trial in trials) + floods * flooding,
         sum(trial.solve_count for trial in trials),
@@ -76,15 +76,12 @@ def can_use_roundabout(agent: Planner) -> bool:
 
 def solve_roundabout(
     planners: Mapping[int, Planner], graph: CommunicationGraph, offset: float
-) -> priority_orders.ConflictResolution:
+) -> ConflictResolution:
     """Solve in turns, all offset to one side, until all are clear and reach their targets.
 
-    Components in which that is not so after `MAX_ROUNDS` are left out of the result.
-
-    Args:
-        planners: Agents of whole components, by number, that can use a roundabout.
-        graph: Communication graph.
-        offset: Offset of the nominals over R: to the right, or to the left where negative.
+    The agents are those of whole components, which can use a roundabout. Components in which
+    they are not clear after `MAX_ROUNDS` are left out of the result. The offset of the nominals
+    is over R: to the right, or to the left where negative.
     """
     now = {i: priority_orders.offset_right(agent, offset) for i, agent in planners.items()}
     done: dict[int, Planner] = {}
@@ -105,8 +102,8 @@ def solve_roundabout(
             clear, graph, lambda agent: agent.reaches_target(agent.nominal)
         )
         now = {i: agent for i, agent in now.items() if i not in done}
-    solves = priority_orders.count_solves(now | done)
-    return priority_orders.ConflictResolution(done, rounds, solves, load)
+    solves = count_solves(now | done)
+    return ConflictResolution(done, rounds, solves, load)
 
 
 def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:

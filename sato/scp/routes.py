@@ -53,18 +53,12 @@ def go_around(agent: Planner) -> Planner:
 def find_route(
     start: Float[Array, " d"], target: Float[Array, " d"], obstacles: ObstaclePaths
 ) -> Float[Array, "corners d"] | None:
-    """Find the shortest way of straight lines around obstacles at rest; None where none is found.
-
-    Args:
-        start: Where it begins [m].
-        target: Where it ends [m].
-        obstacles: Obstacles.
-    """
+    """Find the shortest way of straight lines around obstacles at rest; None without any."""
     ends = np.stack([start, target])
     if segments_clear(ends[:1], ends[1:], obstacles)[0]:
         return ends
     parts = obstacles.paths[:, 0, 0], obstacles.corners, obstacles.clearance
-    roadmap = _remember_roadmap(*(_freeze(part) for part in parts))
+    roadmap = _remember_roadmap(*((part.tobytes(), part.shape) for part in parts))
     points = np.concatenate([roadmap.points, ends])
     n = len(roadmap.points)
     one, other = np.repeat([n, n + 1], n), np.tile(np.arange(n), 2)
@@ -96,10 +90,6 @@ def follow_route(
     return np.stack(along, axis=1).reshape(alone.shape)
 
 
-def _freeze(part: Array) -> tuple[bytes, tuple[int, ...]]:
-    return np.ascontiguousarray(part).tobytes(), part.shape
-
-
 @lru_cache(maxsize=MAX_ROADMAPS)
 def _remember_roadmap(*parts: tuple[bytes, tuple[int, ...]]) -> Roadmap:
     place, corners, clearance = (np.frombuffer(own).reshape(shape) for own, shape in parts)
@@ -111,12 +101,9 @@ def build_roadmap(
     corners: Float[Array, "obstacles corners d"],
     clearance: Float[Array, " obstacles"],
 ) -> Roadmap:
-    """Build the roadmap among obstacles at rest.
+    """Build the roadmap among obstacles at rest: of a point and corners from it [m] each.
 
-    Args:
-        place: Point of each obstacle [m].
-        corners: Corners from that point [m].
-        clearance: Distance to keep from each [m].
+    A distance is kept from each [m].
     """
     d = place.shape[1]
     ways = polytope_about_ball(d)

@@ -66,11 +66,8 @@ def spread_out(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
 def find_shift(targets: Float[Array, "heard d"], clearance: float) -> Float[Array, " d"] | None:
     """Find by how much the first target moves in a group that grows until all can pass [m].
 
-    None where it is in no dense group in the plane, or where that is large enough.
-
-    Args:
-        targets: Targets [m].
-        clearance: R, that two keep [m].
+    None where it is in no dense group in the plane, or where that is large enough. The clearance
+    is R, that two keep [m].
     """
     if targets.shape[1] != 2:
         return None

@@ -27,8 +27,8 @@ class Snapshot(NamedTuple):
     position: Float[Array, "agents d"]  # [m]
     component: Int[Array, " agents"]  # −1 while not alive
     targets: Float[Array, "targets d"]  # [m]
-    outlines: tuple[Float[Array, "_ d"], ...] = ()  # points on the surface of each obstacle [m]
-    lost: Float[Array, "_ d"] | None = None  # agents that are lost and coast [m]
+    outlines: tuple[Float[Array, "_ d"], ...]  # points on the surface of each obstacle [m]
+    lost: Float[Array, "_ d"]  # agents that are lost and coast [m]
 
 
 class Scene:
@@ -64,22 +64,13 @@ class Scene:
 
     def snapshot(self, leg: LegRecord, k: int, title: str) -> Snapshot:
         """Return the swarm at an instant of a leg; at its end, before losses of the next leg."""
-        component = self.record.frames.component[k]
+        record, component = self.record, self.record.frames.component[k]
         if k == leg.end_index and leg.end_event is not None:
             component = np.where(leg.alive, leg.component, -1)
-        return self.snapshot_at(title, float(k), component, leg.leg_index)
-
-    def snapshot_at(
-        self, title: str, instant: float, component: Int[Array, " agents"], leg: int
-    ) -> Snapshot:
-        """Return the swarm at an instant, counted in control steps, and all about it."""
-        record, k = self.record, int(instant)
-        (position,) = self.positions_at(np.array([instant]))
-        if instant == k:  # those that are lost at this instant too
-            position = self.view.project(record.frames.position[k])
-        outlines = self.outlines_at(instant * record.mission.step)
+        position = self.view.project(record.frames.position[k])
+        outlines = self.outlines_at(k * record.mission.step)
         lost = position[record.is_adrift[k] & (component < 0)]
-        return Snapshot(title, position, component, self.targets[leg], outlines, lost)
+        return Snapshot(title, position, component, self.targets[leg.leg_index], outlines, lost)
 
     def outlines_at(self, time: float) -> tuple[Float[Array, "_ d"], ...]:
         """Return points on the surface of each obstacle at a time [s], projected."""
@@ -115,7 +106,7 @@ def draw_swarm(
     for members, look, name in style_components(shot.component):
         style = look | {"ls": "", "ms": 0.75 * size if look == ISOLATED else size, "mew": 0}
         ax.plot(*shot.position[members].T / scale, **style, zorder=3, label=name)
-    if shot.lost is not None and len(shot.lost):
+    if len(shot.lost):
         ax.plot(*shot.lost.T / scale, "x", ms=1.2 * size, **LOST_STYLE, zorder=2, label="lost")
     if radius is not None:
         at = shot.position[shot.component >= 0] / scale
