@@ -42,7 +42,7 @@ class Recorded(NamedTuple):
     meaning: str
     is_optional: bool
     is_held: bool  # until the next instant, so that the last one has none
-    dtype: type | None  # float or bool; None for numbers and names as they are
+    dtype: type | None  # float, int or bool; None for names
 
 
 HELD = "until the next instant"

@@ -18,7 +18,7 @@ from typing import (
 )
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods, checked
@@ -37,6 +37,7 @@ MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+DTYPES = {float: float, Float: float, bool: bool, Bool: bool, int: int, Int: int}
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
 FieldsT = TypeVar("FieldsT")
@@ -262,7 +263,7 @@ def recorded_fields(kind: type) -> dict[str, Recorded]:
             options = get_args(declared) or (declared,)
             dims = tuple(getattr(options[0], "dim_str", "").split())
             scalar = getattr(options[0], "dtype", options[0])
-            dtype = {float: float, Float: float, bool: bool, Bool: bool}.get(scalar)
+            dtype = DTYPES.get(scalar)
             is_optional, is_held = type(None) in options, HELD in marks
             found[name] = Recorded(dims, unit, meaning, is_optional, is_held, dtype)
     return found
@@ -283,6 +284,10 @@ def check_format(file: Path | str, data: RunData) -> None:
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
+    for name in ("seed", "format"):
+        value = data.attrs.get(name, 1)
+        if not isinstance(value, int | np.integer) or not 0 <= value < 2**64:
+            raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")
     version = int(data.attrs.get("format", 1))
     if version != FORMAT:
         reads = "which reads it; for this version, fly the scenario again"
