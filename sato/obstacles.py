@@ -181,15 +181,15 @@ class Ellipsoid(Obstacle):
 
     kind: ClassVar[str] = "ellipsoid"
     center: Annotated[Coordinates, Unit("m"), "center"]
-    semi_axes: Annotated[Coordinates, Unit("m"), "semi-axis along each axis"]
+    semi_axes: Annotated[
+        tuple[Annotated[float, Positive], ...], Unit("m"), "semi-axis along each axis"
+    ]
 
     def check(self) -> None:
-        """Refuse semi-axes that are not positive."""
+        """Refuse other than a semi-axis for each coordinate."""
         if len(self.semi_axes) != len(self.center):
             reason = f"has {len(self.semi_axes)} entries, and center_m {len(self.center)}"
             raise InputError("semi_axes_m", reason)
-        if min(self.semi_axes) <= 0:
-            raise InputError("semi_axes_m", f"must be positive, got {min(self.semi_axes):g}")
         super().check()
 
     def scaled(self, factors: Factors) -> "Ellipsoid":  # noqa: D102

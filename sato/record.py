@@ -209,6 +209,12 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
         """Time of each instant [s]."""
         return np.asarray(self.frames.time)
 
+    @property
+    def leg_index(self) -> Int[Array, " instants"]:
+        """Leg under way at each instant, of a system with legs."""
+        frames: Any = self.frames
+        return np.asarray(frames.leg_index)
+
     @cached_property
     def events(self) -> EventLog:
         """Events of the run, by instant."""

@@ -24,10 +24,10 @@ from dynamics.doors import checked
 from sato import frames as flight_frames
 from sato import record
 from sato.check.common import EventLog
-from sato.check.damage import find_damage
 from sato.check.report import Promise, Report, Verdict
 from sato.compilation import announce_compilation
 from sato.console import show_mission_progress
+from sato.damage import find_damage
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData

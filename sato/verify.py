@@ -9,8 +9,8 @@ import numpy as np
 
 from dynamics.callbacks import CallbackError
 from sato.check import common
-from sato.check.damage import find_damage
 from sato.check.report import Promise, Report, expect_none
+from sato.damage import find_damage
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
 from sato.scenario.errors import InputError

@@ -138,8 +138,6 @@ def fly_campaign(
     if campaign.runs > MOST_RUNS and not allow_many:
         reason = f"{campaign.runs:,} runs are more than {MOST_RUNS:,}"
         raise InputError("", f"{reason}; --yes flies them all the same")
-    if workers is not None and workers < 1:
-        raise InputError("workers", f"must be at least 1, got {workers}")
     campaign.check_keys()
     folder = folder.resolve()
     with (

@@ -63,11 +63,7 @@ class Trial(NamedTuple):
         return str(self.source.get("name", ""))
 
     def build_mission(self) -> Mission:
-        """Build the mission that is flown.
-
-        Raises:
-            InputError: The scenario cannot be flown with these parameters.
-        """
+        """Build the mission that is flown; refuse parameters that it cannot have."""
         source: Any = self.source
         if isinstance(source, str):
             name, rng = source, generator(*self.stream, 1)

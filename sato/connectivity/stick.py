@@ -138,11 +138,7 @@ class RecordedStick(Stick):
         return replace(stick, times=stick.times - stick.times[0])
 
     def require_command(self, duration: float) -> None:
-        """Refuse a drawn stick that says nothing in a flight of this duration [s].
-
-        Raises:
-            InputError: It begins after the end of the flight.
-        """
+        """Refuse a drawn stick that says nothing in a flight of this duration [s]."""
         first, last = self.times[[0, -1]].tolist()
         if first >= duration:
             raise InputError(

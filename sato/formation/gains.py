@@ -59,11 +59,7 @@ class ListedGains(Definition):
             raise InputError("", "need two bounds, and five numbers an edge")
 
     def build(self, formation: DesiredFormation) -> GainMatrix:
-        """Assemble the gains of a formation.
-
-        Raises:
-            InputError: They belong to another formation.
-        """
+        """Assemble the gains of a formation; refuse those of another."""
         n = len(formation.points)
         i, j, real, imaginary, z = self.edges.T
         ends = np.stack([i, j]).astype(int)
@@ -100,6 +96,10 @@ class GainsFile(Definition):
             text = f'{self.file} holds gains of other points or another graph; "auto" would do'
             raise InputError("gains.file", text)
         return list_gains(gains)
+
+    def build(self, formation: DesiredFormation) -> GainMatrix:
+        """Read the gains of a formation."""
+        return self.read(formation).build(formation)
 
 
 AnyGains = DesignedGains | ListedGains | GainsFile

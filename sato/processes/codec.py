@@ -68,22 +68,14 @@ class CodecError(ValueError):
 
 
 def encode(value: Any) -> bytes:
-    """Encode a value.
-
-    Raises:
-        CodecError: It, or a part of it, has a type that is not on the list.
-    """
+    """Encode a value; a `CodecError` refuses types that are not on the list."""
     out = bytearray()
     _write(out, value)
     return bytes(out)
 
 
 def decode(data: bytes) -> Any:
-    """Decode a value.
-
-    Raises:
-        CodecError: The bytes are none.
-    """
+    """Decode a value; a `CodecError` refuses bytes that are none."""
     try:
         return _Reader(data).read_all(0)
     except CodecError:

@@ -73,11 +73,7 @@ def as_processes(
 
 
 def check_vehicles(mission: Reconfiguration) -> None:
-    """Refuse a drawn mission with too many vehicles, or one that no agent can fly.
-
-    Raises:
-        InputError: It is; says what would do.
-    """
+    """Refuse a drawn mission with too many vehicles, or one that no agent can fly."""
     count = len(mission.initial_states)
     if count > MAX_VEHICLES:
         reason = f"{count} vehicles are too many for a process each; {MAX_VEHICLES} would do"
@@ -90,11 +86,7 @@ def check_vehicles(mission: Reconfiguration) -> None:
 
 
 def check_link(mission: Reconfiguration, mode: Mode) -> None:
-    """Refuse a mission whose messages do not pass as processes pass them.
-
-    Raises:
-        InputError: They do not; says what would do.
-    """
+    """Refuse a mission whose messages do not pass as processes pass them."""
     if mode == "free-running" and not mission.lag_steps:
         reason = "is 0, and messages between processes take time; 0.02 would do"
         raise InputError("link.round_s", reason)

@@ -42,11 +42,6 @@ class Replay(NamedTuple):
 class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
     """A flight as recorded, and the mission as drawn again from its scenario."""
 
-    @property
-    def leg_index(self) -> Int[Array, " instants"]:
-        """Leg under way at each instant."""
-        return np.asarray(self.frames.leg_index)
-
     @cached_property
     def replay(self) -> Replay:
         """Course that the flight had to take by the recorded commands and avoidance."""
