@@ -132,11 +132,7 @@ class System(Generic[MissionT, FrameT]):
 
 
 def lazy(name: str) -> Callable[..., Any]:
-    """Return a function that is imported when it is first called.
-
-    Args:
-        name: "module:function".
-    """
+    """Return a function, "module:function", that is imported when it is first called."""
 
     def call(*args: Any) -> Any:
         module, _, function = name.partition(":")

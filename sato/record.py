@@ -222,11 +222,7 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
 
 
 def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
-    """Stack the recorded fields of frames over time.
-
-    Args:
-        frames: Frames of one type; at least one.
-    """
+    """Stack the recorded fields of frames of one type, at least one, over time."""
     found: dict[str, Variable] = {}
     for name, field in recorded_fields(type(frames[0])).items():
         values = [getattr(frame, name) for frame in frames]

@@ -32,12 +32,6 @@ def fly_locally(
     Each process has a pool of its own, which is replaced when it dies: a process that is ended
     while it takes a trial may leave its pipe locked, and what it took is not known.
 
-    Args:
-        workers: Number of processes.
-        function: Function of a trial, importable by name.
-        trials: Trials, taken as workers become free.
-        time_limit: Time after which a trial is ended [s]; None for no limit.
-
     Raises:
         InputError: A function of the user's cannot be imported by the workers.
         WorkerError: Workers end before they begin.

@@ -31,10 +31,7 @@ ASYMPTOTE_OFFSET = 1e-3  # least distance to an asymptote at which to evaluate
 def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> AgentEstimates:
     """Estimate relative yaws, weights of own edges and their gradients.
 
-    Args:
-        known: Measurements and messages of now, estimates of a step ago.
-        mission: Drawn mission.
-        time: Time [s].
+    Measurements and messages are those of now, estimates those of a step ago.
     """
     measurements, inbox, estimates = known
     psi, observer = estimate_relative_yaw(known, mission, time)
@@ -72,11 +69,7 @@ def estimate_lambda2(
 ) -> AgentEstimates:
     """Estimate λ₂, and the slope of the potential in the weights of own edges.
 
-    Args:
-        known: What agents know, with the edges of now.
-        alive: True for agents that take part.
-        mission: Drawn mission.
-        time: Time [s].
+    What agents know has the edges of now; those that are alive take part.
     """
     estimates = known.estimates
     if mission.estimator == "power_pi":

@@ -22,13 +22,7 @@ def exchange_messages(
 ) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
-    Args:
-        known: Content of messages; the inbox is changed in place.
-        on_their_way: Messages that have not arrived, changed in place.
-        mission: Drawn mission.
-        number: Number of the control step.
-        rng: Draws losses.
-        outages: Pairs between which messages are lost; changed in place.
+    The inbox, the messages on their way and the outages are changed in place.
 
     Returns:
         What is known, with the newest rows of the adjacency matrix of those known and received.

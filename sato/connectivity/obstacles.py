@@ -213,11 +213,6 @@ def min_obstacle_distance(
     Obstacles are convex, so the distance to one falls and then rises along a line: a ternary
     search finds its minimum to 1e-9 of the length. Distance changes by no more than the length
     of the line, so few lines can lead closer than their ends.
-
-    Args:
-        position: Positions at each instant [m].
-        alive: True for agents that take part.
-        obstacles: Obstacles.
     """
     away = obstacle_distances(position, obstacles)
     least = float(away[alive].min(initial=np.inf))

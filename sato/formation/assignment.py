@@ -63,13 +63,7 @@ def observe_neighbors(
 def compute_cost_matrix(
     seen: NeighborPositions, assignment: Int[Array, " agents"], points: Float[Array, "points 3"]
 ) -> Float[Array, "agents points"]:
-    """Compute the squared distance of each agent to each point [m²] [Lusk2020, eq. 14].
-
-    Args:
-        seen: Positions that each agent knows.
-        assignment: Point that each agent holds.
-        points: Points of the formation [m].
-    """
+    """Compute the squared distance of each agent to each point [m²] [Lusk2020, eq. 14]."""
     own = seen.positions[np.arange(len(assignment)), assignment]
     pose = align(points[None], seen.positions, seen.is_known)
     offset = pose.transform(points[None]) - own[:, None]
@@ -85,17 +79,7 @@ def assign_points(
     rng: np.random.Generator,
     outages: PairOutages | None = None,
 ) -> AssignmentResult:
-    """Hold an auction among the agents that hear each other now.
-
-    Args:
-        mission: A drawn mission.
-        leg: Index of the leg.
-        auction_index: Number of auctions held before on this leg.
-        state: State of all agents, with the messages received.
-        roles: Assignment until now.
-        rng: Generator for lost bids.
-        outages: Those of the links in the rounds to come.
-    """
+    """Hold an auction among agents that hear each other now; outages are of the rounds to come."""
     formation, agents = mission.gains[leg].formation, np.arange(mission.agents)
     settings, link, points = mission.assignment, mission.timed_link, formation.points
     if settings.method == "hungarian":

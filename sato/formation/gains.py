@@ -82,10 +82,7 @@ class GainsFile(Definition):
     file: Annotated[str, "file that `sato gains` wrote"]
 
     def read(self, formation: DesiredFormation | None = None) -> ListedGains:
-        """Read the gains.
-
-        Args:
-            formation: Formation that they have to belong to, if that is to be checked.
+        """Read the gains, and compare them with a formation, if one is given.
 
         Raises:
             InputError: The file cannot be read, or holds gains of another formation.

@@ -32,17 +32,7 @@ AnyStart = RandomStart | AnyShape
 def draw_start(
     start: AnyStart, agents: int, keep_out: float, rng: np.random.Generator
 ) -> Float[Array, "agents 3"]:
-    """Return the initial position of every agent [m].
-
-    Args:
-        start: Random start, points or shape.
-        agents: Number of agents.
-        keep_out: Least distance of two of them in the plane [m].
-        rng: Generator for a random start.
-
-    Raises:
-        InputError: There is no such start, or two agents are too close in it.
-    """
+    """Return the initial position of every agent [m]; refuse a start where two are too close."""
     if isinstance(start, RandomStart):
         check_drawn_separation(start.separation, keep_out)
         with errors_in("box_m"):
@@ -57,11 +47,7 @@ def draw_start(
 
 
 def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "count 3"]:
-    """Place a shape in space; a lattice is flat, for no vehicle may be above another.
-
-    Raises:
-        InputError: The shape does not fit the count or the distance.
-    """
+    """Place a shape in space; a lattice is flat, for no vehicle may be above another."""
     if shape.place_velocities(count, 3) is not None:
         raise InputError("", "has velocities, and vehicles begin and end at rest; drop them")
     level = np.zeros((count, 3))

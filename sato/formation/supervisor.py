@@ -32,13 +32,7 @@ class Phase(Enum):
 def find_blocked(
     mission: Formation, velocity: Float[Array, "agents 3"], avoiding: Bool[Array, " agents"]
 ) -> Bool[Array, " agents"]:
-    """Find the agents that others stop; in [Lusk2020]'s trials, all that avoid others.
-
-    Args:
-        mission: Largest speed, and the avoidance.
-        velocity: Velocities flown [m/s].
-        avoiding: True for agents that change their command to avoid others.
-    """
+    """Find the agents that others stop; in [Lusk2020]'s trials, all that avoid others."""
     if mission.avoidance.legacy:
         return avoiding.copy()
     speed = np.hypot(velocity[:, 0], velocity[:, 1])

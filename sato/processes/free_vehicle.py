@@ -46,11 +46,7 @@ class FreeVehicle:
         self._has_consent = False
 
     def run(self, receive: Callable[[float], tuple[str, Any] | None]) -> None:
-        """Act until the world is gone.
-
-        Args:
-            receive: Function that returns a sender and a value that comes within a time [s].
-        """
+        """Act until the world is gone; what others send is received within a time [s]."""
         due = monotonic()
         while True:
             received = receive(max(0.0, due - monotonic()))
