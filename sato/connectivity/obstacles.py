@@ -3,24 +3,35 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Le, Len
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from pydantic import BeforeValidator
 
 from dynamics.units import Unit
 from dynamics.vehicle import vector_lengths
 from sato.obstacles import Box, Sphere
-from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
+from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive, as_array
 from sato.scenario.errors import InputError
 
 DRAW_HALF_BOX = np.array([15.0, 15.0, 3.0])  # about the middle of the swarm [m]
 START_CLEARANCE, WAYPOINT_CLEARANCE = 1.5, 1.8  # of a drawn sphere, at least [m]
 REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite, at least [m]
 MAX_DRAWS = 10_000  # of one sphere, before it is given up
+
+
+def _as_rows(value: Any) -> Array:
+    rows = as_array(value, 2)
+    if rows.shape[1] != 3:
+        raise InputError("", f"needs rows of 3 coordinates, got {rows.shape[1]}")
+    return rows
+
+
 Point = Annotated[Coordinates, Len(3, 3)]
+Rows = Annotated[Array, BeforeValidator(_as_rows)]  # of coordinates
 Points = Float[Array, "*#k 3"]
 
 
