@@ -67,11 +67,7 @@ class Obstacle(Definition):
         return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
 
     def scaled(self, factors: Factors) -> "Obstacle":
-        """Return the same in space that is scaled along its axes.
-
-        Args:
-            factors: Factor of each axis.
-        """
+        """Return the same in space that is scaled by a factor along each of its axes."""
         raise NotImplementedError
 
     def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:
@@ -291,8 +287,7 @@ def intersect_half_spaces(
 ) -> Float[Array, "corners d"]:
     """Find the corners of the points x with n·x ≤ offset for all faces.
 
-    Raises:
-        InputError: These are none, have no volume, or are unbounded.
+    Those that are none, have no volume, or are unbounded are refused.
     """
     from scipy.optimize import linprog
     from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError

@@ -78,11 +78,7 @@ _ANY = Field("draw", Uniform | Normal | Choice, MISSING)
 
 
 def as_distribution(value: Any) -> Distribution:
-    """Convert the table of a file, {"kind": "uniform", "low": 1.0, "high": 2.0}.
-
-    Raises:
-        InputError: There is no such distribution, or its numbers contradict each other.
-    """
+    """Convert the table of a file, {"kind": "uniform", "low": 1.0, "high": 2.0}."""
     if isinstance(value, Distribution):
         return value
     found: Distribution = read_table(choose(_ANY, value), value)

@@ -157,9 +157,6 @@ def group_runs(
         by: Columns; those of the file, or else of its grid, if None.
         show: Terms; those of the file, or else `DEFAULT_TERMS`, if empty.
         where: Conditions that the runs must meet.
-
-    Raises:
-        InputError: A column or a statistic is unknown.
     """
     by = table.groups if by is None else by
     terms = parse_terms(table, show)

@@ -120,11 +120,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         return int(self.query("SELECT count(*) FROM runs").fetchone()[0])
 
     def rows(self, columns: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-        """Read rows one by one, in the order of their numbers; all columns, or those named.
-
-        Raises:
-            InputError: There is no such column.
-        """
+        """Read rows one by one, in the order of their numbers; all columns, or those named."""
         names = list(columns) or self.columns
         text = f"SELECT {', '.join(map(self.quote, names))} FROM runs ORDER BY row"
         with describe_errors(self.path):

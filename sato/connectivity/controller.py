@@ -92,13 +92,10 @@ def act_on_rows(
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Estimate λ₂ of the graph known to each agent, and −∂V/∂A_ij of the edges of the agent.
 
+    Rows that are older than the oldest time are forgotten.
+
     Every agent computes the row of its own edges, with the time, and relays all rows that it
     knows. A row from the other end of the graph is as many steps old as it is hops away.
-
-    Args:
-        adjacency: Rows known to each agent.
-        oldest: Time before which rows are forgotten [s].
-        potential: Potential V.
     """
     graph, own = _mean_of_both_ends(adjacency.weight), np.arange(len(adjacency.time))
     lambda2, action = _act_on_graph(graph, adjacency.time >= oldest, potential)

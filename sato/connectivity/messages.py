@@ -61,13 +61,7 @@ def exchange_messages(
 
 
 def merge_rows(own: AdjacencyRows, sent: AdjacencyRows, hears: Bool[Array, "n n"]) -> AdjacencyRows:
-    """Take over the rows that others have newer.
-
-    Args:
-        own: Rows known to agent i.
-        sent: Rows that agent j sent.
-        hears: True where agent i hears agent j.
-    """
+    """Take over the rows that agents know newer by those that they hear."""
     offered = np.where(hears[..., None], sent.time, -np.inf)  # [i, j, k]: row k, by agent j
     sender, k = offered.argmax(axis=1), np.arange(len(hears))
     newest = offered.max(axis=1)

@@ -154,11 +154,7 @@ class RecordedStick(Stick):
         ]
 
     def without_file(self) -> "RecordedStick":
-        """Return the same stick with the contents of its file.
-
-        Raises:
-            InputError: The file cannot be read, or holds no recording.
-        """
+        """Return the same stick with the contents of its file."""
         if self.file is None:
             return self
         try:

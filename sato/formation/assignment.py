@@ -41,14 +41,7 @@ class AssignmentResult(NamedTuple):
 def observe_neighbors(
     state: FormationState, roles: Roles, frames: CoordinateFrames, graph: Bool[Array, "n n"]
 ) -> NeighborPositions:
-    """Collect the positions that each agent knows of the holders of neighboring points.
-
-    Args:
-        state: State of all agents, with the messages received.
-        roles: Assignment, as each agent knows it.
-        frames: Coordinate frames; each agent knows those of its neighbors in its own.
-        graph: Graph of the formation.
-    """
+    """Collect the positions that each agent knows of the holders of neighboring points."""
     agents = np.arange(len(state.position))
     heard = state.heard(agents[:, None], roles.holder)
     own = frames.rotation[:, None].conj()

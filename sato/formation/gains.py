@@ -82,11 +82,7 @@ class GainsFile(Definition):
     file: Annotated[str, "file that `sato gains` wrote"]
 
     def read(self, formation: DesiredFormation | None = None) -> ListedGains:
-        """Read the gains, and compare them with a formation, if one is given.
-
-        Raises:
-            InputError: The file cannot be read, or holds gains of another formation.
-        """
+        """Read the gains; refuse those of another formation, if one is given."""
         with errors_in("gains.file"):
             gains = GainMatrix.load(self.file)
         if formation is not None and not gains.matches_formation(formation):

@@ -35,11 +35,7 @@ class Fleet(AbstractContextManager["Fleet"]):
     """
 
     def __init__(self, port: int | None = None) -> None:
-        """Listen for vehicles at a port, or any that is free.
-
-        Raises:
-            InputError: Zenoh is not installed, or the port is in use.
-        """
+        """Listen for vehicles at a port, or any that is free; refuse one that is in use."""
         load_zenoh()
         self.port = find_port(port)
         self.processes: dict[int, Any] = {}  # those that were started here

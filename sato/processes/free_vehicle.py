@@ -24,13 +24,6 @@ class FreeVehicle:
     """Vehicle that runs freely."""
 
     def __init__(self, vehicle: Vehicle, send: Callable[[Any], object], tick: float) -> None:
-        """Begin.
-
-        Args:
-            vehicle: The vehicle.
-            send: Function that sends a value to the world.
-            tick: Time between two packets [s].
-        """
         self.vehicle, self.send, self.tick = vehicle, send, tick
         self._measured: Measured | None = None
         self._begun: Any = None  # decision under way, as it began

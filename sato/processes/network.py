@@ -43,11 +43,7 @@ class Connection:
     """
 
     def __init__(self, port: int, number: int | None = None) -> None:
-        """Open a connection: of the world, which listens, or of the vehicle of a number.
-
-        Raises:
-            InputError: Nobody listens there, or the port is in use.
-        """
+        """Open a connection: of the world, which listens, or of the vehicle of a number."""
         zenoh, is_world = load_zenoh(), number is None
         config, own = zenoh.Config(), WORLD if is_world else str(number)
         for key, value in {
