@@ -18,6 +18,7 @@ from sato.processes.vehicle import Vehicle, begun_at
 
 HEARTBEAT = 0.1  # longest time between two signs of life [s]
 LATE_START = 0.1  # time by which processes may begin a decision one after another [s]
+_decode_once = lru_cache(64)(decode)
 
 
 class FreeVehicle:
@@ -151,8 +152,3 @@ class FreeVehicle:
         is_listening, is_power = own[0] is None, self._age & (self._age - 1) == 0
         if is_listening or is_power or monotonic() > self._sent + HEARTBEAT:
             self._send(self._packet)
-
-
-@lru_cache(64)
-def _decode_once(content: bytes) -> Any:
-    return decode(content)
