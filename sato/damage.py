@@ -47,11 +47,6 @@ NEEDED: dict[str, dict[str, str]] = {
     },
     "connectivity": {},
 }
-STARTS = {  # attributes of drawn missions, a row an agent
-    "reconfiguration": "initial_states",
-    "formation": "initial_positions",
-    "connectivity": "initial_position",
-}
 
 
 def find_damage(data: RunData, mission: Any | None) -> str:
@@ -66,7 +61,8 @@ def find_damage(data: RunData, mission: Any | None) -> str:
     pairs = (zip(dims, values.shape, strict=True) for dims, values, _ in data.variables.values())
     sizes = {dim: size for pair in pairs for dim, size in pair}
     if mission is not None:
-        given, wanted = sizes.get("agent", 0), len(getattr(mission, STARTS[system.name]))
+        is_joined = system.name == "reconfiguration"  # by agents that are not there at the start
+        given, wanted = sizes.get("agent", 0), len(mission.alive) if is_joined else mission.agents
         if given != wanted:
             return f"the file has {given} agents, and its scenario {wanted}"
         sizes["leg"] = min(sizes.get("leg", 0), len(getattr(mission, "legs", ())))
