@@ -336,7 +336,7 @@ def test_digest_finds_any_alteration(disturbed, name):
     value = "{}" if name == "event" else 1 - int(first)
     run = altered(disturbed, name, (0,) * disturbed.data[name].ndim, value)
     found = {p.name for p in run.check().broken}
-    assert "unaltered" in found and ("record" in found) == (name in ("event", "control_instant"))
+    assert "unaltered" in found and ("record" in found) == (name != "component")
 
 
 def test_altered_run_that_cannot_be_propagated_is_refused(disturbed, monkeypatch):
