@@ -8,6 +8,7 @@ import numpy as np
 
 from dynamics.inputs import LARGEST, shorten
 from sato.interfaces import Recorded
+from sato.network.load import PURPOSES
 from sato.record import CommonVariables, recorded_fields
 from sato.run_data import RunData
 from sato.scenario.errors import join_names
@@ -60,15 +61,24 @@ def find_damage(data: RunData, mission: Any | None) -> str:
         fields[name] = field._replace(dims=("time", *field.dims))
     pairs = (zip(dims, values.shape, strict=True) for dims, values, _ in data.variables.values())
     sizes = {dim: size for pair in pairs for dim, size in pair}
+    if not sizes["time"]:
+        return "the file has no instants"
     if mission is not None:
-        is_joined = system.name == "reconfiguration"  # by agents that are not there at the start
-        given, wanted = sizes.get("agent", 0), len(mission.alive) if is_joined else mission.agents
-        if given != wanted:
-            return f"the file has {given} agents, and its scenario {wanted}"
-        sizes["leg"] = min(sizes.get("leg", 0), len(getattr(mission, "legs", ())))
+        for dim, wanted in _list_sizes(mission).items():
+            if sizes.get(dim, wanted) != wanted:
+                names = "axes" if dim == "axis" else f"{dim}s"
+                return f"the file has {sizes[dim]} {names}, and its scenario {wanted}"
     faults = (_find_fault(data, name, field, sizes) for name, field in fields.items())
     found = next(filter(None, faults), "")
     return found or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
+
+
+def _list_sizes(mission: Any) -> dict[str, int]:
+    is_joined = mission.system == "reconfiguration"  # by agents that are not there at the start
+    count = len(mission.alive) if is_joined else mission.agents
+    found = dict.fromkeys(("agent", "other", "point", "neighbor"), count)
+    found |= {"axis": mission.axes if is_joined else 3, "purpose": len(PURPOSES)}
+    return found | {"leg": len(getattr(mission, "legs", ()))}
 
 
 def _find_fault(data: RunData, name: str, field: Recorded, sizes: Mapping[str, int]) -> str:

@@ -314,6 +314,13 @@ DAMAGES = {
     "target_index is 100 at time 9, agent 1, which": changed("target_index", (9, 1), 99),
     "position is 1e+300 at time 9, agent 1, axis 0, which": changed("position", (9, 1, 0), 1e300),
     "control_instant is 0 at time 9, which": changed("control_instant", 9, None),
+    "the file has no instants": lambda run: forged(run, data=run.data.isel(time=slice(0))),
+    "the file has 1 axes, and its scenario 2": lambda run: forged(
+        run, data=run.data.isel(axis=slice(1))
+    ),
+    "the file has 1 legs, and its scenario 2": lambda run: forged(
+        run, data=run.data.isel(leg=slice(1))
+    ),
     "alive is along agent and time, not time and agent": lambda run: forged(
         run, data=run.data.assign(alive=run.data["alive"].T)
     ),
