@@ -278,11 +278,7 @@ def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
 
 
 def check_format(file: Path | str, data: RunData) -> None:
-    """Refuse data that are not those of a run; the file is named in the message.
-
-    Raises:
-        RunFileError: They are of another version, or not of a run.
-    """
+    """Refuse data that are not those of a run; the file is named in the message."""
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)

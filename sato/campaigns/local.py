@@ -101,8 +101,7 @@ def _end(pool: ProcessPool) -> None:
 def take_outcome(future: Any) -> Outcome:
     """Return the outcome of a trial, or of an error in its worker.
 
-    Raises:
-        InputError: No other trial could be flown either.
+    An `InputError` is raised again: no other trial could be flown either.
     """
     error = future.exception()
     if isinstance(error, InputError):

@@ -89,8 +89,7 @@ def generator(seed: int, *key: int) -> np.random.Generator:
 def run_trial(trial: Trial) -> Outcome:
     """Fly a trial in this process, on one thread; errors become part of the outcome.
 
-    Raises:
-        InputError: A function cannot be imported here, which no other trial could either.
+    A function that cannot be imported here is refused, as no other trial could be flown either.
     """
     add_modules(trial.modules)
     for name in (trial.function, trial.columns, trial.source):

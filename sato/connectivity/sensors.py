@@ -30,13 +30,7 @@ class CameraViews(NamedTuple):
 def compute_views(
     vehicles: VehicleState, alive: Bool[Array, "*k n"], mission: Connectivity
 ) -> CameraViews:
-    """Compute the view of every camera.
-
-    Args:
-        vehicles: True state of all agents.
-        alive: True for agents that see, are seen and block the line of sight.
-        mission: Drawn mission.
-    """
+    """Compute the view of every camera; those that are alive see, are seen and block the view."""
     position, yaw, camera = vehicles.position, vehicles.yaw, mission.camera
     distance, bearing = bearings(position, yaw)
     axis = np.array(camera.optical_axis)

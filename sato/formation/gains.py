@@ -20,11 +20,7 @@ class DesignedGains(Definition):
     kind: Annotated[GainMethod, "method of design"] = "auto"
 
     def build(self, formation: DesiredFormation) -> GainMatrix:
-        """Design the gains of a formation.
-
-        Raises:
-            InputError: It has none, or the method finds none.
-        """
+        """Design the gains of a formation."""
         parts = formation.points.tobytes(), formation.graph.tobytes(), formation.name
         try:
             return _design_once(self.kind, *parts)

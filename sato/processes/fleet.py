@@ -61,9 +61,7 @@ class Fleet(AbstractContextManager["Fleet"]):
     def start(self, numbers: Iterable[int]) -> None:
         """Start the processes of some vehicles, and wait until all are there.
 
-        Raises:
-            InputError: They take more memory than there is.
-            VehicleError: One ends before it is there, or all take too long.
+        Refuse those for which there is no memory; a `VehicleError` says that one has ended early.
         """
         each = list(numbers)
         check_memory(len(each))

@@ -97,11 +97,9 @@ class Connection:
             return None
 
     def watch(self, others: str, when_gone: Callable[[str], object]) -> None:
-        """Call a function, in another thread, with each of some others that is gone.
+        """Call a function, in another thread, with the name of each of some others that is gone.
 
-        Args:
-            others: Number of a vehicle, "*" for all, or the world.
-            when_gone: Function of the number, as text.
+        The others are the number of a vehicle, "*" for all, or the world.
         """
 
         def change(sample: Any) -> None:
