@@ -9,13 +9,14 @@ from numpy import ndarray as Array
 
 import sato
 from problems.alignment import compute_shape_error
-from sato.connectivity.check.recorded import ConnectivityRecord, nearest_agent_distance
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.loop import simulate as simulate_connectivity
 from sato.connectivity.obstacles import obstacle_distances
 from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate as simulate_formation
 from sato.scenario.file import read_data
+from sato.scene import nearest_distances
 from sato.shapes import Points
 
 GAP_WINDOW = 1.0  # time before a loss of connectivity in which λ₃ − λ₂ is looked at [s]
@@ -175,7 +176,7 @@ def _idle_command(record: ConnectivityRecord) -> float:
     """Return the largest command of isolated agents with nothing near [m/s, rad/s]."""
     frames, mission = record.frames, record.mission
     position = np.where(frames.alive[..., None], frames.position, np.nan)
-    distance = np.nan_to_num(nearest_agent_distance(position), nan=np.inf)
+    distance = np.nan_to_num(nearest_distances(position, frames.alive), nan=np.inf)
     for walls in np.moveaxis(obstacle_distances(position, mission.obstacle_arrays), -1, 0):
         distance = np.fmin(distance, walls)
     is_isolated = ~frames.edge_weight.any(axis=2) & frames.alive

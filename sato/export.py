@@ -70,9 +70,6 @@ def export(
             is a recording for the viewer Rerun, with targets, links and obstacles.
         make_scene: Makes the scene of the run, for "rrd".
 
-    Returns:
-        The path.
-
     Raises:
         InputError: The run has no chief, and so no inertial states; there is something else at
             the path; or Rerun is not installed.

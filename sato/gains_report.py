@@ -34,9 +34,6 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
     """Load the formation of a name in the library, or of a file of points.
 
     Its graph is the "own" one, the "complete" one, or of a file of pairs of vertices.
-
-    Raises:
-        ValueError: There is no such formation or graph.
     """
     if Path(name).suffix.lower() == ".csv" or Path(name).is_file():
         formation = library.read_formation(name)
@@ -56,12 +53,7 @@ def resolve_formation(name: str, graph: str) -> DesiredFormation:
 def design_and_save(
     formation: DesiredFormation, method: str, out: Path, joint: bool = False
 ) -> None:
-    """Design gains by `design_gains`, print their certificate, and write them, whole or not at all.
-
-    Raises:
-        ValueError: There is no such method.
-        NoStabilizingGain: The formation has no stabilizing gains.
-    """
+    """Design gains, print their certificate, and write them, whole or not at all."""
     if method not in METHODS:
         raise InputError("", f'--method takes one of {", ".join(METHODS)}, not "{method}"')
     began = perf_counter()

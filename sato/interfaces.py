@@ -42,7 +42,7 @@ class Recorded(NamedTuple):
     meaning: str
     is_optional: bool
     is_held: bool  # until the next instant, so that the last one has none
-    dtype: type | None  # float or bool; None for numbers and names as they are
+    dtype: type | None  # float, int or bool; None for names
 
 
 HELD = "until the next instant"
@@ -132,11 +132,7 @@ class System(Generic[MissionT, FrameT]):
 
 
 def lazy(name: str) -> Callable[..., Any]:
-    """Return a function that is imported when it is first called.
-
-    Args:
-        name: "module:function".
-    """
+    """Return a function, "module:function", that is imported when it is first called."""
 
     def call(*args: Any) -> Any:
         module, _, function = name.partition(":")

@@ -16,11 +16,7 @@ BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}  # attributes of annot
 
 
 def format_keys(system: str) -> str:
-    """List the keys of a system's scenario files, a block a table.
-
-    Raises:
-        InputError: There is no such system.
-    """
+    """List the keys of a system's scenario files, a block a table."""
     blocks = [f"system = {format_value(system)}\n"]
     listed: list[tuple[str, Any]] = [("", definition_of(system))]
     for head, definition in listed:

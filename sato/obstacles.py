@@ -67,11 +67,7 @@ class Obstacle(Definition):
         return np.asarray(np.linalg.norm(points - self.nearest(points), axis=-1))
 
     def scaled(self, factors: Factors) -> "Obstacle":
-        """Return the same in space that is scaled along its axes.
-
-        Args:
-            factors: Factor of each axis.
-        """
+        """Return the same in space that is scaled by a factor along each of its axes."""
         raise NotImplementedError
 
     def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:
@@ -181,15 +177,15 @@ class Ellipsoid(Obstacle):
 
     kind: ClassVar[str] = "ellipsoid"
     center: Annotated[Coordinates, Unit("m"), "center"]
-    semi_axes: Annotated[Coordinates, Unit("m"), "semi-axis along each axis"]
+    semi_axes: Annotated[
+        tuple[Annotated[float, Positive], ...], Unit("m"), "semi-axis along each axis"
+    ]
 
     def check(self) -> None:
-        """Refuse semi-axes that are not positive."""
+        """Refuse other than a semi-axis for each coordinate."""
         if len(self.semi_axes) != len(self.center):
             reason = f"has {len(self.semi_axes)} entries, and center_m {len(self.center)}"
             raise InputError("semi_axes_m", reason)
-        if min(self.semi_axes) <= 0:
-            raise InputError("semi_axes_m", f"must be positive, got {min(self.semi_axes):g}")
         super().check()
 
     def scaled(self, factors: Factors) -> "Ellipsoid":  # noqa: D102
@@ -291,8 +287,7 @@ def intersect_half_spaces(
 ) -> Float[Array, "corners d"]:
     """Find the corners of the points x with n·x ≤ offset for all faces.
 
-    Raises:
-        InputError: These are none, have no volume, or are unbounded.
+    Those that are none, have no volume, or are unbounded are refused.
     """
     from scipy.optimize import linprog
     from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError

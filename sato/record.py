@@ -18,7 +18,7 @@ from typing import (
 )
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods, checked
@@ -37,6 +37,7 @@ MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+DTYPES = {float: float, Float: float, bool: bool, Bool: bool, int: int, Int: int}
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
 FieldsT = TypeVar("FieldsT")
@@ -208,6 +209,12 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
         """Time of each instant [s]."""
         return np.asarray(self.frames.time)
 
+    @property
+    def leg_index(self) -> Int[Array, " instants"]:
+        """Leg under way at each instant, of a system with legs."""
+        frames: Any = self.frames
+        return np.asarray(frames.leg_index)
+
     @cached_property
     def events(self) -> EventLog:
         """Events of the run, by instant."""
@@ -215,11 +222,7 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
 
 
 def stack(frames: Sequence[Frame]) -> dict[str, Variable]:
-    """Stack the recorded fields of frames over time.
-
-    Args:
-        frames: Frames of one type; at least one.
-    """
+    """Stack the recorded fields of frames of one type, at least one, over time."""
     found: dict[str, Variable] = {}
     for name, field in recorded_fields(type(frames[0])).items():
         values = [getattr(frame, name) for frame in frames]
@@ -262,7 +265,7 @@ def recorded_fields(kind: type) -> dict[str, Recorded]:
             options = get_args(declared) or (declared,)
             dims = tuple(getattr(options[0], "dim_str", "").split())
             scalar = getattr(options[0], "dtype", options[0])
-            dtype = {float: float, Float: float, bool: bool, Bool: bool}.get(scalar)
+            dtype = DTYPES.get(scalar)
             is_optional, is_held = type(None) in options, HELD in marks
             found[name] = Recorded(dims, unit, meaning, is_optional, is_held, dtype)
     return found
@@ -275,14 +278,14 @@ def _variable(values: Array, field: Recorded, *leading: str) -> Variable:
 
 
 def check_format(file: Path | str, data: RunData) -> None:
-    """Refuse data that are not those of a run; the file is named in the message.
-
-    Raises:
-        RunFileError: They are of another version, or not of a run.
-    """
+    """Refuse data that are not those of a run; the file is named in the message."""
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
+    for name in ("seed", "format"):
+        value = data.attrs.get(name, 1)
+        if not isinstance(value, int | np.integer) or not 0 <= value < 2**64:
+            raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")
     version = int(data.attrs.get("format", 1))
     if version != FORMAT:
         reads = "which reads it; for this version, fly the scenario again"

@@ -18,7 +18,7 @@ from sato.figures.style import STYLE
 from sato.film import SwarmFilm
 from sato.record import MAX_FRAMES, drawn_mark, find_drawn
 from sato.run_data import RunData
-from sato.scenario.errors import InputError
+from sato.scenario.definition import Amount
 from sato.scene import SwarmScene
 from sato.systems import load_system
 
@@ -63,8 +63,8 @@ def animate(
     scene: SwarmScene,
     directory: Path,
     digest: object = "",
-    fps: int = 20,
-    frames: int = MAX_FRAMES,
+    fps: Amount = 20,
+    frames: Amount = MAX_FRAMES,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
     """Animate a run.
@@ -81,11 +81,8 @@ def animate(
         The file, `run.mp4` or `run.gif`.
 
     Raises:
-        InputError: There are no frames at that rate.
         OSError: The file cannot be written; one that was there is kept.
     """
-    if fps < 1 or frames < 1:
-        raise InputError("", f"frames and fps must be positive, got {frames} frames at {fps} fps")
     # Browsers and slides play even sizes and yuv420p.
     even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"]
     mark, has_ffmpeg = drawn_mark(digest), shutil.which("ffmpeg") is not None

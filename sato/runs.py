@@ -27,6 +27,7 @@ from sato.check.common import EventLog
 from sato.check.report import Promise, Report, Verdict
 from sato.compilation import announce_compilation
 from sato.console import show_mission_progress
+from sato.damage import find_damage
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
@@ -90,6 +91,12 @@ class Run:
             raise record.RunFileError(describe_own(str(self.recorded.attrs["scenario"])))
         return self.mission.draw(np.random.default_rng(int(self.recorded.attrs["seed"])))
 
+    @property
+    def _readable_mission(self) -> Any:
+        if damage := find_damage(self.recorded, self.drawn_mission):
+            raise record.RunFileError(f"the record is damaged: {damage}")
+        return self.drawn_mission
+
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Return the events in the order of time; of the given kinds only, if any."""
         log = EventLog.from_data(self.recorded)
@@ -132,7 +139,7 @@ class Run:
         """Draw the figures of the run, by name."""
         from sato.render import draw_figures
 
-        return draw_figures(self.recorded, self.drawn_mission)
+        return draw_figures(self.recorded, self._readable_mission)
 
     def plot(self, directory: str | Path, pdf: bool = False) -> list[Path]:
         """Write the figures of the run as PNG, or PDF, in place of figures of earlier runs."""
@@ -169,7 +176,7 @@ class Run:
         broken = (
             each for each in self.report.broken if each.agents and np.isfinite(each.time or 0.0)
         )
-        scene = system.scene(self.recorded, self.drawn_mission)
+        scene = system.scene(self.recorded, self._readable_mission)
         return replace(scene, verdict=self.report.line, broken=tuple(broken))
 
     def player(self, path: str | Path) -> Path:

@@ -185,11 +185,6 @@ def color_by_target(targets: Targets) -> Coloring:
     return Coloring(targets.name, held, is_target=True)
 
 
-def color_by_separation(nearest: Float[Array, "instants agents"]) -> Coloring:
-    """Color by the distance to the nearest other vehicle [m]."""
-    return Coloring("separation", nearest, "m")
-
-
 def color_by_speed(
     velocity: Float[Array, "instants agents d"], alive: Bool[Array, "instants agents"]
 ) -> Coloring:

@@ -20,21 +20,13 @@ SYSTEMS = {
 
 
 def load_system(name: object) -> "System[Any, Any]":
-    """Load a system by its name.
-
-    Raises:
-        InputError: There is no such system.
-    """
+    """Load a system by its name; refuse one that is not there."""
     found: System[Any, Any] = _load(name, 1)
     return found
 
 
 def definition_of(name: object) -> Any:
-    """Load the definition of a system's missions by its name.
-
-    Raises:
-        InputError: There is no such system.
-    """
+    """Load the definition of a system's missions by its name; refuse one that is not there."""
     return _load(name, 0)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from dynamics.callbacks import CallbackError
 from sato.check import common
 from sato.check.report import Promise, Report, expect_none
+from sato.damage import find_damage
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
@@ -43,7 +44,7 @@ def verify_run(
     text = "alteration of the file since it was written"
     first = expect_none("unaltered", not is_unaltered, text), _check_scenario(data)
     report = replace(found, promises=(*first, *found.promises))
-    if summary is None or mission is None:
+    if summary is None or found.skipped:
         return report
     last = _check_summary(data, summary, report, is_unaltered)
     return replace(report, promises=(*report.promises, last))
@@ -56,8 +57,8 @@ def _check_scenario(data: RunData) -> Promise:
         origin, says = Origin.from_json(data.attrs["origin"]), load_toml(text, "run.nc")
     except (LookupError, TypeError, ValueError):
         return expect_none(name, 1, "missing record of where the scenario comes from")
-    if (says["name"], says["system"]) != (data.attrs["name"], data.attrs["system"]):
-        return expect_none(name, 1, f"other name or system than in the file: {says['name']}")
+    if (says.get("name"), says.get("system")) != (data.attrs["name"], data.attrs["system"]):
+        return expect_none(name, 1, f"other name or system than in the file: {says.get('name')}")
     if not origin.gives(text):
         return expect_none(name, 1, f"scenario in the file that is not {origin}")
     return Promise(name, True, 0.0, 0.0, str(origin))
@@ -71,10 +72,20 @@ def _check(data: RunData, mission: Any) -> Report:
         raise
     except InputError as error:
         raise RunFileError(f"the scenario in the file cannot be flown: {error}") from error
-    return load_system(data.attrs["system"]).check(data, drawn, rng)
+    return _report_damage(data, drawn) or load_system(data.attrs["system"]).check(data, drawn, rng)
+
+
+def _report_damage(data: RunData, drawn: Any | None) -> Report | None:
+    """Report a record that cannot be read; None where it can be."""
+    if not (damage := find_damage(data, drawn)):
+        return None
+    names = *load_system(data.attrs["system"]).promises, "summary"
+    return Report((Promise("record", False, 1.0, 0.0, damage),), {}, names, "the record is damaged")
 
 
 def _check_without_mission(data: RunData) -> Report:
+    if (damaged := _report_damage(data, None)) is not None:
+        return damaged
     record: RunRecord[None, Any, Any] = RunRecord.from_data(data, None)
     frames = record.frames
     promises = [

@@ -329,7 +329,11 @@ def ask(case: Case, table: CampaignTable, row: int) -> dict[str, bool]:
     except RunFileError:  # nothing is shown, and nothing is claimed
         result = CliRunner().invoke(app, ["check", str(case.folder)])
         return dict.fromkeys(PLACES[:-1], not is_kept and result.exit_code == 2)
-    line, page = run.report.line, run.player(case.folder / "player.html").read_text("utf-8")
+    line = run.report.line
+    try:
+        page = run.player(case.folder / "player.html").read_text("utf-8")
+    except RunFileError:  # of a damaged record, of which nothing can be shown
+        page = "" if is_kept else f'<p id="verdict">{escape(line)}</p>'
     told = CliRunner().invoke(app, ["check", str(case.folder)])
     table.add(table.campaign.trial(row, str(table.folder)), judge(run), 1)
     cells = table.row(row)

@@ -99,7 +99,7 @@ def test_draws_have_the_quartiles_and_limits_of_their_distribution(table, quarti
         ({"kind": "integers", "low": 1.5, "high": 3}, "low: must be an integer"),
         ({"kind": "log_uniform", "low": 0, "high": 3}, "low: must be greater than 0"),
         ({"kind": "normal", "mean": 0.0, "deviation": -1.0}, "deviation: "),
-        ({"kind": "choice", "values": []}, "at least one value"),
+        ({"kind": "choice", "values": []}, "must have at least 1 item"),
         ({"kind": "uniform", "low": 0}, "high: is missing"),
         ({"kind": "uniform", "low": 0, "high": float("nan")}, "high: "),
         (3, "draw.x: must be a table"),

@@ -286,10 +286,62 @@ def test_cut_run_that_is_called_complete_is_found(honest):
     assert "complete" in broken(forged(run, attrs={"complete": 1}))
 
 
-def test_run_with_an_agent_less_is_refused(honest):
+def test_run_with_an_agent_less_is_broken(honest):
     run = forged(honest, data=honest.data.isel(agent=slice(1, None)))
-    with pytest.raises(sato.RunFileError, match="has 4 agents, and its scenario 5"):
-        run.check()
+    assert run.check().line == "BROKEN: record, the file has 4 agents, and its scenario 5"
+
+
+def renamed(name, value):
+    """Return a forgery of an entry of all events that have it."""
+    return events(lambda event: [event | {name: value} if name in event else event])
+
+
+DAMAGES = {
+    "leg of event 0, a leg_start, is 7": renamed("leg", 7),
+    "leg of event 0, a leg_start, is missing": events(
+        lambda event: [{key: value for key, value in event.items() if key != "leg"}]
+    ),
+    "agents of event 0, a leg_start, is [9]": renamed("agents", [9]),
+    "agents of event 0, a leg_start, is ": renamed("agents", 10**400),
+    "time of event 0, a leg_start, is None": lambda run: forged(
+        run,
+        data=run.data.assign(event=("event", [json.dumps({"kind": "leg_start"} | {"time": None})])),
+    ),
+    "event 0 is no table with a kind": lambda run: forged(
+        run, data=run.data.assign(event=("event", ["{}"]))
+    ),
+    "leg_index is 5 at time 9, which": changed("leg_index", 9, 5),
+    "target_index is 100 at time 9, agent 1, which": changed("target_index", (9, 1), 99),
+    "position is 1e+300 at time 9, agent 1, axis 0, which": changed("position", (9, 1, 0), 1e300),
+    "control_instant is 0 at time 9, which": changed("control_instant", 9, None),
+    "the file has no instants": lambda run: forged(run, data=run.data.isel(time=slice(0))),
+    "the file has 1 axes, and its scenario 2": lambda run: forged(
+        run, data=run.data.isel(axis=slice(1))
+    ),
+    "the file has 1 legs, and its scenario 2": lambda run: forged(
+        run, data=run.data.isel(leg=slice(1))
+    ),
+    "alive is along agent and time, not time and agent": lambda run: forged(
+        run, data=run.data.assign(alive=run.data["alive"].T)
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", DAMAGES)
+def test_values_that_no_check_could_read_are_named(honest, fault):
+    run = DAMAGES[fault](honest)
+    report = run.check()
+    assert report.line.startswith(f"BROKEN: record, {fault}"), report.line
+    assert run.report.line == report.line and not run.summary["success"]
+
+
+@pytest.mark.parametrize("complete", [2, -1, np.nan, "yes"])
+def test_a_flight_is_complete_or_not(honest, complete):
+    assert (
+        forged(honest, attrs={"complete": complete})
+        .check()
+        .line.startswith(f"BROKEN: complete, the attribute complete is {complete}, neither 0 nor 1")
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from agents import fly_by_messages
+from message_sizes import measure, purpose_of
 from test_agent import MISSIONS, OTHERS
 
 import sato
 from sato.network.encoding import HEADER
 from sato.network.load import PURPOSES, Load
-from sato.reconfiguration.encoding import measure, purpose_of
 from sato.reconfiguration.loop import _Flight
 
 

@@ -133,7 +133,7 @@ def test_route_leads_around_and_is_hardly_longer_than_the_shortest():
         (lambda: sato.Polytope(normals=[[1, 0], [0, 1]], offsets=[1, 1]), "unbounded"),
         (lambda: sato.Polytope(normals=[[1, 0], [-1, 0], [0, 1]], offsets=[1, -2, 1]), "no volume"),
         (lambda: sato.Polytope(), "needs points_m, or normals"),
-        (lambda: sato.Ellipsoid((0, 0), (1, -1)), "must be positive"),
+        (lambda: sato.Ellipsoid((0, 0), (1, -1)), "must be greater than 0, got -1"),
         (lambda: sato.Box((0, 0), (1, 0)), "must be less than high_m"),
         (lambda: sato.Sphere((0, 0), 1.0, velocity=(1, 0, 0)), "has 3 entries"),
         (lambda: sato.Sphere((0,), 1.0), "space has 2 or 3"),

@@ -237,10 +237,11 @@ def test_a_loaded_run_without_its_mission_claims_no_success(tmp_path):
 def test_a_file_that_contradicts_its_scenario_is_broken_and_still_shown(collided):
     fewer = collided.data.isel(agent=slice(1, None))
     run = Run(type(collided.recorded).from_xarray(fewer), collided.summary, collided.mission)
-    with pytest.raises(sato.RunFileError):
-        run.check()
-    assert run.report.line.startswith("BROKEN: file, ") and not run.summary["success"]
-    assert repr(run).startswith("BROKEN: file, ")
+    assert {promise.name for promise in run.check().broken} == {"unaltered", "record"}
+    assert run.report.line.startswith("BROKEN: unaltered, ") and not run.summary["success"]
+    assert repr(run).startswith("BROKEN: unaltered, ")
+    sealed = replace(run, recorded=run.recorded.seal())
+    assert repr(sealed).startswith("BROKEN: record, the file has 1 agents, and its scenario 2")
 
 
 @pytest.mark.parametrize("seals", [True, False])

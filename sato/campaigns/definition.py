@@ -256,11 +256,7 @@ class Campaign(Definition):
 
     @classmethod
     def from_json(cls, text: str) -> "Campaign":
-        """Read what `to_json` wrote.
-
-        Raises:
-            InputError: It has keys that this version does not know.
-        """
+        """Read what `to_json` wrote; refuse keys that this version does not know."""
         plain = json.loads(text)
         if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise InputError(unknown[0], "is a key of another version of sato")

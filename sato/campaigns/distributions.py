@@ -5,6 +5,7 @@ from dataclasses import MISSING, dataclass
 from math import exp, log
 from typing import Annotated, Any, ClassVar, Literal
 
+from annotated_types import Len
 from numpy.random import Generator
 
 from dynamics.inputs import LARGEST_COUNT
@@ -66,12 +67,7 @@ class Choice(Distribution):
     """One of some values, each as likely as the others."""
 
     kind: ClassVar[str] = "choice"
-    values: Annotated[tuple[Any, ...], "values"]
-
-    def check(self) -> None:
-        """Refuse an empty list."""
-        if not self.values:
-            raise InputError("values", "must have at least one value")
+    values: Annotated[tuple[Any, ...], Len(1), "values"]
 
     def draw(self, rng: Generator) -> Any:
         """Choose a value."""
@@ -82,11 +78,7 @@ _ANY = Field("draw", Uniform | Normal | Choice, MISSING)
 
 
 def as_distribution(value: Any) -> Distribution:
-    """Convert the table of a file, {"kind": "uniform", "low": 1.0, "high": 2.0}.
-
-    Raises:
-        InputError: There is no such distribution, or its numbers contradict each other.
-    """
+    """Convert the table of a file, {"kind": "uniform", "low": 1.0, "high": 2.0}."""
     if isinstance(value, Distribution):
         return value
     found: Distribution = read_table(choose(_ANY, value), value)

@@ -121,25 +121,12 @@ def fly_campaign(
 ) -> None:
     """Fly the runs of a campaign that its table does not hold yet.
 
-    Args:
-        campaign: Definition.
-        folder: Folder of the table and of runs that are kept.
-        resume: Go on with a table; rows whose worker died are flown again.
-        workers: Number of processes on this machine; one a core if None.
-        scheduler: Address of a Dask scheduler, in place of processes on this machine.
-        allow_version: Resume with another version or with scenarios that have changed.
-        allow_many: Allow more than a million runs.
-        progress: Function called with the rows that there are, by exit, and the number of runs.
-        function: Function of a trial that gives its outcome, importable by name.
-
-    Raises:
-        InputError, TableError, WorkerError: As of `campaign`.
+    Options and errors are those of `campaign`; rows whose worker died are flown again. The function
+    of a trial gives its outcome, and is importable by name.
     """
     if campaign.runs > MOST_RUNS and not allow_many:
         reason = f"{campaign.runs:,} runs are more than {MOST_RUNS:,}"
         raise InputError("", f"{reason}; --yes flies them all the same")
-    if workers is not None and workers < 1:
-        raise InputError("workers", f"must be at least 1, got {workers}")
     campaign.check_keys()
     folder = folder.resolve()
     with (

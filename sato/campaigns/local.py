@@ -1,7 +1,5 @@
 """Trials flown by processes on this machine."""
 
-import multiprocessing
-import signal
 from collections import Counter
 from collections.abc import Iterable
 from concurrent.futures import FIRST_COMPLETED, wait
@@ -14,6 +12,7 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 from sato.campaigns.trial import Flights, Outcome, Trial, TrialFunction, one_thread_each
 from sato.compilation import announce_all
 from sato.scenario.errors import InputError
+from sato.workers import describe_exit, make_context
 
 AHEAD = 2  # trials that each worker has, one of which waits, so that it is never idle
 PRELOADED = ["sato.campaigns.trial", "xarray"]  # by the process from which workers are forked
@@ -33,17 +32,11 @@ def fly_locally(
     Each process has a pool of its own, which is replaced when it dies: a process that is ended
     while it takes a trial may leave its pipe locked, and what it took is not known.
 
-    Args:
-        workers: Number of processes.
-        function: Function of a trial, importable by name.
-        trials: Trials, taken as workers become free.
-        time_limit: Time after which a trial is ended [s]; None for no limit.
-
     Raises:
         InputError: A function of the user's cannot be imported by the workers.
         WorkerError: Workers end before they begin.
     """
-    context, remaining, futile = _context(), iter(trials), 0
+    context, remaining, futile = make_context(PRELOADED), iter(trials), 0
     again: list[Trial] = []  # trials of processes that died before they began
     flying: dict[ProcessFuture[Outcome], tuple[int, Trial]] = {}
     with one_thread_each():
@@ -108,8 +101,7 @@ def _end(pool: ProcessPool) -> None:
 def take_outcome(future: Any) -> Outcome:
     """Return the outcome of a trial, or of an error in its worker.
 
-    Raises:
-        InputError: No other trial could be flown either.
+    An `InputError` is raised again: no other trial could be flown either.
     """
     error = future.exception()
     if isinstance(error, InputError):
@@ -124,16 +116,6 @@ def _outcome(future: Any, error: BaseException | None, time_limit: float | None)
     if isinstance(error, TimeoutError):
         return {"exit": "time limit", "error": f"ended after {time_limit:g} s"}
     if isinstance(error, ProcessExpired):
-        code = error.exitcode or 0
-        reason = signal.strsignal(-code) if code < 0 else f"exit code {code}"
+        reason = describe_exit(error.exitcode or 0)
         return {"exit": "died", "error": f"the worker died: {reason}"}
     return take_outcome(future)
-
-
-def _context() -> Any:
-    # Forked from a process that has imported what they need, workers start in little time.
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(PRELOADED)
-    return context

@@ -79,11 +79,7 @@ def name_group(key: Sequence[object]) -> str:
 
 
 def parse_term(text: str, table: CampaignTable) -> Term:
-    """Parse a column, a ratio of two, or a condition, with the statistic to show.
-
-    Raises:
-        InputError: It is not of this form, or a column or statistic is unknown.
-    """
+    """Parse a column, a ratio of two, or a condition, with the statistic to show."""
     found = _TERM.fullmatch(text.strip())
     if not found:
         raise InputError("", f'"{text}" is not {GRAMMAR}')
@@ -110,11 +106,7 @@ def parse_term(text: str, table: CampaignTable) -> Term:
 
 
 def quote(column: str, table: CampaignTable) -> str:
-    """Quote the name of a column, or of a part of one: "legs.0.holes" is of the column legs.
-
-    Raises:
-        InputError: There is no such column; it names the nearest.
-    """
+    """Quote the name of a column, or of a part of one: "legs.0.holes" is of the column legs."""
     known, (whole, _, part) = table.columns, column.partition(".")
     if column in known or whole not in known:
         return table.quote(column)
@@ -165,9 +157,6 @@ def group_runs(
         by: Columns; those of the file, or else of its grid, if None.
         show: Terms; those of the file, or else `DEFAULT_TERMS`, if empty.
         where: Conditions that the runs must meet.
-
-    Raises:
-        InputError: A column or a statistic is unknown.
     """
     by = table.groups if by is None else by
     terms = parse_terms(table, show)

@@ -72,11 +72,7 @@ class Statistics:
         return low + part * (float(self.values[int(index) + 1]) - low) if part else low
 
     def number(self, name: str) -> float:
-        """Return a statistic by its name.
-
-        Raises:
-            KeyError: There is no such statistic.
-        """
+        """Return a statistic by its name, one of `NAMES` or a quantile, "p5"."""
         if found := _QUANTILE.fullmatch(_PERCENTS.get(name, name)):
             return self.quantile(int(found[1]) / 100)
         return {

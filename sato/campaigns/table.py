@@ -5,7 +5,7 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +55,7 @@ class TableError(RuntimeError):
     """A table that cannot be read or written now; what is in it stays."""
 
 
-class CampaignTable:
+class CampaignTable(AbstractContextManager["CampaignTable"]):
     """Table in the folder of a campaign, from which rows are read, and to which a writer adds."""
 
     def __init__(self, folder: Path, is_writer: bool = False) -> None:
@@ -92,11 +92,7 @@ class CampaignTable:
 
     @classmethod
     def create(cls, folder: Path, campaign: Campaign) -> "CampaignTable":
-        """Create the table of a campaign, whole or not at all.
-
-        Raises:
-            TableError: It cannot be written to.
-        """
+        """Create the table of a campaign, whole or not at all."""
         path = folder / TABLE_FILE
         values = (campaign.to_json(), campaign.fingerprint, own_version())
         with describe_errors(path), replace_atomically(path) as new:
@@ -109,10 +105,6 @@ class CampaignTable:
     def close(self) -> None:
         """Close the file."""
         self._connection.close()
-
-    def __enter__(self) -> "CampaignTable":
-        """Use the table, and close it."""
-        return self
 
     def __exit__(self, *error: object) -> None:
         """Close the file."""
@@ -128,11 +120,7 @@ class CampaignTable:
         return int(self.query("SELECT count(*) FROM runs").fetchone()[0])
 
     def rows(self, columns: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-        """Read rows one by one, in the order of their numbers; all columns, or those named.
-
-        Raises:
-            InputError: There is no such column.
-        """
+        """Read rows one by one, in the order of their numbers; all columns, or those named."""
         names = list(columns) or self.columns
         text = f"SELECT {', '.join(map(self.quote, names))} FROM runs ORDER BY row"
         with describe_errors(self.path):
@@ -140,11 +128,7 @@ class CampaignTable:
                 yield dict(zip(names, values, strict=True))
 
     def quote(self, column: str) -> str:
-        """Quote the name of a column for SQL.
-
-        Raises:
-            InputError: There is no such column; it names the nearest.
-        """
+        """Quote the name of a column for SQL; refuse one that is not there."""
         known = self.columns
         if column not in known:
             close = closest_name(column, known)
@@ -153,11 +137,7 @@ class CampaignTable:
         return _quoted(column)
 
     def row(self, number: int) -> dict[str, Any]:
-        """Read one row.
-
-        Raises:
-            InputError: There is no such row.
-        """
+        """Read one row; refuse a number that is not there."""
         names = self.columns
         values = self.query("SELECT * FROM runs WHERE row = ?", (number,)).fetchone()
         if values is None:

@@ -63,11 +63,7 @@ class Trial(NamedTuple):
         return str(self.source.get("name", ""))
 
     def build_mission(self) -> Mission:
-        """Build the mission that is flown.
-
-        Raises:
-            InputError: The scenario cannot be flown with these parameters.
-        """
+        """Build the mission that is flown; refuse parameters that it cannot have."""
         source: Any = self.source
         if isinstance(source, str):
             name, rng = source, generator(*self.stream, 1)
@@ -93,8 +89,7 @@ def generator(seed: int, *key: int) -> np.random.Generator:
 def run_trial(trial: Trial) -> Outcome:
     """Fly a trial in this process, on one thread; errors become part of the outcome.
 
-    Raises:
-        InputError: A function cannot be imported here, which no other trial could either.
+    A function that cannot be imported here is refused, as no other trial could be flown either.
     """
     add_modules(trial.modules)
     for name in (trial.function, trial.columns, trial.source):

@@ -138,6 +138,9 @@ def incomplete_reason(attributes: Mapping[str, Any]) -> str:
 
 def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
     """Check that a flight was completed, and that nothing is named that its record is lacking."""
+    complete = attributes.get("complete", 1)
+    if not any(np.array_equal(complete, known) for known in (0, 1)):
+        lacking = f"the attribute complete is {complete}, neither 0 nor 1"
     reasons = [text for text in (lacking, incomplete_reason(attributes)) if text]
     text = "; ".join(reasons) or "everything was flown and recorded"
     promise = Promise("complete", not reasons, float(len(reasons)), 0.0, text)

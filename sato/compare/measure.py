@@ -4,7 +4,6 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from statistics import median
 from time import process_time
@@ -18,6 +17,7 @@ from problems.conic import SolverResult, Verified, verify
 from problems.families import Family, Instance
 from problems.solvers.adapter import SolverAdapter
 from sato.compare.plan import ComparisonPlan, format_tolerance, refusal
+from sato.workers import describe_exit, make_context
 
 NAN = float("nan")
 SEVERITY = ("skipped", "solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
@@ -25,9 +25,7 @@ SEVERITY = ("skipped", "solved", "infeasible", "unproven", "failed", "wrong clai
 HANG_FACTOR = 10.0
 WARM_UP_TIMEOUT = 60.0  # for what a library does only once, such as compiling [s]
 
-# Where the system can, all processes are forked from one that has imported what they share.
-CONTEXT: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
-CONTEXT.set_forkserver_preload([__name__, "problems.solvers"])
+CONTEXT = make_context([__name__, "problems.solvers"])
 
 
 class SolveOutcome(NamedTuple):
@@ -171,9 +169,7 @@ class SolverProcess:
                 outcomes.append(self._connection.recv())
         except (EOFError, ConnectionError):
             self._process.join()
-            code = self._process.exitcode
-            reason = f"exit code {code}" if code >= 0 else signal.strsignal(-code)
-            end = SolveOutcome("crashed", str(reason))
+            end = SolveOutcome("crashed", describe_exit(self._process.exitcode))
         missing = len(pair) - len(outcomes)
         if missing:
             self.close()

@@ -3,6 +3,8 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from problems.families import SIZES, Family, list_families, load_family
 from problems.solvers.adapter import SolverAdapter
 from sato.scenario.errors import closest_name
@@ -90,8 +92,7 @@ def refusal(solver: SolverAdapter, family: Family) -> str:
 
 def format_tolerance(tolerance: float) -> str:
     """Format a tolerance as it is usually written: 1e-4, 2.5e-6."""
-    digits, _, exponent = f"{tolerance:e}".partition("e")
-    return f"{float(digits):g}e{int(exponent)}"
+    return np.format_float_scientific(tolerance, precision=6, trim="-", exp_digits=1)
 
 
 def _check_names(kind: str, names: Collection[str], known: Collection[str]) -> None:

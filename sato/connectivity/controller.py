@@ -31,10 +31,7 @@ ASYMPTOTE_OFFSET = 1e-3  # least distance to an asymptote at which to evaluate
 def estimate_edges(known: Knowledge, mission: Connectivity, time: float) -> AgentEstimates:
     """Estimate relative yaws, weights of own edges and their gradients.
 
-    Args:
-        known: Measurements and messages of now, estimates of a step ago.
-        mission: Drawn mission.
-        time: Time [s].
+    Measurements and messages are those of now, estimates those of a step ago.
     """
     measurements, inbox, estimates = known
     psi, observer = estimate_relative_yaw(known, mission, time)
@@ -72,11 +69,7 @@ def estimate_lambda2(
 ) -> AgentEstimates:
     """Estimate λ₂, and the slope of the potential in the weights of own edges.
 
-    Args:
-        known: What agents know, with the edges of now.
-        alive: True for agents that take part.
-        mission: Drawn mission.
-        time: Time [s].
+    What agents know has the edges of now; those that are alive take part.
     """
     estimates = known.estimates
     if mission.estimator == "power_pi":
@@ -99,13 +92,10 @@ def act_on_rows(
 ) -> tuple[Float[Array, " n"], Float[Array, "n n"]]:
     """Estimate λ₂ of the graph known to each agent, and −∂V/∂A_ij of the edges of the agent.
 
+    Rows that are older than the oldest time are forgotten.
+
     Every agent computes the row of its own edges, with the time, and relays all rows that it
     knows. A row from the other end of the graph is as many steps old as it is hops away.
-
-    Args:
-        adjacency: Rows known to each agent.
-        oldest: Time before which rows are forgotten [s].
-        potential: Potential V.
     """
     graph, own = _mean_of_both_ends(adjacency.weight), np.arange(len(adjacency.time))
     lambda2, action = _act_on_graph(graph, adjacency.time >= oldest, potential)

@@ -23,11 +23,7 @@ MAX_POWER_STEP = 2.5e-3  # distance flown per exchange of power_pi at which 50 r
 
 
 def check_settings(mission: "Connectivity") -> None:
-    """Refuse limits that are not in order.
-
-    Raises:
-        InputError: They are not.
-    """
+    """Refuse limits that are not in order."""
     camera, tracking = mission.camera, mission.tracking
     near, far = mission.repulsion.min_distance, mission.repulsion.max_distance
     least, most = mission.potential.lambda2_min, mission.potential.lambda2_max
@@ -60,11 +56,7 @@ def memory_demand(mission: "Connectivity", agents: int) -> float:
 
 
 def check_sampling(mission: "Connectivity") -> None:
-    """Refuse gains and messages that do not suit the control step.
-
-    Raises:
-        InputError: They do not.
-    """
+    """Refuse gains and messages that do not suit the control step."""
     tracking, link, step = mission.tracking, mission.link, mission.step
     # In discrete time a factor 1 − gain × step of an error is left after each step.
     gains = {"k2 + closure": tracking.k2 + tracking.closure_gain, "k3": tracking.k3}
@@ -113,11 +105,7 @@ def _check_power_iteration(mission: "Connectivity") -> None:
 
 
 def check_obstacles(mission: "Connectivity") -> None:
-    """Refuse obstacles that are flat, move, or are not known beforehand.
-
-    Raises:
-        InputError: One is; says which.
-    """
+    """Refuse obstacles that are flat, move, or are not known beforehand."""
     for number, obstacle in enumerate(mission.obstacles):
         if isinstance(obstacle, Plane):
             continue
@@ -131,11 +119,7 @@ def check_obstacles(mission: "Connectivity") -> None:
 
 
 def check_start(mission: "Connectivity") -> None:
-    """Refuse initial poses that are too close to each other or an obstacle, or not connected.
-
-    Raises:
-        InputError: They are.
-    """
+    """Refuse initial poses that are too close to each other or an obstacle, or not connected."""
     positions, agents = mission.initial_position, mission.agents
     if positions.shape != (agents, 3):
         raise InputError(
@@ -176,11 +160,7 @@ def check_start(mission: "Connectivity") -> None:
 
 
 def check_losses(mission: "Connectivity") -> None:
-    """Refuse losses of robots that are not there, and of all but one.
-
-    Raises:
-        InputError: There are such losses.
-    """
+    """Refuse losses of robots that are not there, and of all but one."""
     agents, losses = mission.agents, mission.losses
     if losses and agents - len(losses) < 2:
         raise InputError("death", f"{len(losses)} of {agents} robots are lost; two must be left")

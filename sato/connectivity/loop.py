@@ -80,12 +80,8 @@ def advance_vehicles(
 ) -> VehicleState:
     """Advance live agents by a step; lost ones stay where they are.
 
-    Args:
-        vehicles: State of all agents.
-        alive: True for agents that move.
-        command: Commanded velocity in the body frame [m/s] and yaw rate [rad/s].
-        noise: Noise of kinematic vehicles [m/s, rad/s].
-        mission: Drawn mission.
+    Commands are velocities in the body frame [m/s] and yaw rates [rad/s]; the noise is of kinematic
+    vehicles, in the same units.
     """
     plant = mission.plant
     if isinstance(plant, Quadrotor):
@@ -101,12 +97,7 @@ def advance_vehicles(
 
 
 def simulate(mission: Connectivity, rng: np.random.Generator) -> Iterator[ConnectivityFrame]:
-    """Simulate a drawn mission.
-
-    Args:
-        mission: Drawn mission.
-        rng: Draws noise, lost messages, outages, and the first iterates of the power iteration.
-    """
+    """Simulate a drawn mission, from a generator of all that is random in the flight."""
     swarm, stick, waypoints_reached, was_split = Swarm(mission, rng), np.zeros(3), 0, False
     if mission.estimator == "power_pi":
         for _ in range(round(POWER_ITERATION_WARMUP / mission.step)):

@@ -22,13 +22,7 @@ def exchange_messages(
 ) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
-    Args:
-        known: Content of messages; the inbox is changed in place.
-        on_their_way: Messages that have not arrived, changed in place.
-        mission: Drawn mission.
-        number: Number of the control step.
-        rng: Draws losses.
-        outages: Pairs between which messages are lost; changed in place.
+    The inbox, the messages on their way and the outages are changed in place.
 
     Returns:
         What is known, with the newest rows of the adjacency matrix of those known and received.
@@ -67,13 +61,7 @@ def exchange_messages(
 
 
 def merge_rows(own: AdjacencyRows, sent: AdjacencyRows, hears: Bool[Array, "n n"]) -> AdjacencyRows:
-    """Take over the rows that others have newer.
-
-    Args:
-        own: Rows known to agent i.
-        sent: Rows that agent j sent.
-        hears: True where agent i hears agent j.
-    """
+    """Take over the rows that agents know newer by those that they hear."""
     offered = np.where(hears[..., None], sent.time, -np.inf)  # [i, j, k]: row k, by agent j
     sender, k = offered.argmax(axis=1), np.arange(len(hears))
     newest = offered.max(axis=1)

@@ -3,24 +3,35 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Le, Len
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from pydantic import BeforeValidator
 
 from dynamics.units import Unit
 from dynamics.vehicle import vector_lengths
 from sato.obstacles import Box, Sphere
-from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive
+from sato.scenario.definition import Coordinates, Definition, NotNegative, Positive, as_array
 from sato.scenario.errors import InputError
 
 DRAW_HALF_BOX = np.array([15.0, 15.0, 3.0])  # about the middle of the swarm [m]
 START_CLEARANCE, WAYPOINT_CLEARANCE = 1.5, 1.8  # of a drawn sphere, at least [m]
 REPULSION_CLEARANCE = 0.5  # beyond the distance at which repulsion is infinite, at least [m]
 MAX_DRAWS = 10_000  # of one sphere, before it is given up
+
+
+def _as_rows(value: Any) -> Array:
+    rows = as_array(value, 2)
+    if rows.shape[1] != 3:
+        raise InputError("", f"needs rows of 3 coordinates, got {rows.shape[1]}")
+    return rows
+
+
 Point = Annotated[Coordinates, Len(3, 3)]
+Rows = Annotated[Array, BeforeValidator(_as_rows)]  # of coordinates
 Points = Float[Array, "*#k 3"]
 
 
@@ -91,17 +102,7 @@ class RandomSpheres(Definition):
         min_distance: float,
         rng: np.random.Generator,
     ) -> tuple[Sphere, ...]:
-        """Draw spheres about the swarm.
-
-        Args:
-            start: Initial positions [m].
-            waypoints: Waypoints of the leader [m].
-            min_distance: Distance at which repulsion is infinite [m].
-            rng: Random generator.
-
-        Raises:
-            InputError: There is no room.
-        """
+        """Draw spheres about the swarm, clear of starts and waypoints; refuse them without room."""
         of_start = max(START_CLEARANCE, min_distance + REPULSION_CLEARANCE)
         of_waypoint = max(WAYPOINT_CLEARANCE, min_distance + REPULSION_CLEARANCE)
         points = np.concatenate([start, waypoints])
@@ -213,11 +214,6 @@ def min_obstacle_distance(
     Obstacles are convex, so the distance to one falls and then rises along a line: a ternary
     search finds its minimum to 1e-9 of the length. Distance changes by no more than the length
     of the line, so few lines can lead closer than their ends.
-
-    Args:
-        position: Positions at each instant [m].
-        alive: True for agents that take part.
-        obstacles: Obstacles.
     """
     away = obstacle_distances(position, obstacles)
     least = float(away[alive].min(initial=np.inf))

@@ -22,10 +22,6 @@ def spectral_radius(gains: PowerIterationGains, agents: int) -> float:
     through μ alone. *Iteration*: the mean of v̂ and its average z₁, with gain e₁; the largest
     eigenvalue, N e₂; and the size of v̂ and its average z₂ about their equilibrium, with gain
     e₃, where they are damped least, z₂ = 1.
-
-    Args:
-        gains: Complete gains.
-        agents: Number of agents N.
     """
     h, g = gains.exchange_period, gains.filter_gain
     loops = [

@@ -22,7 +22,6 @@ from sato.scene import (
     SwarmScene,
     Targets,
     color_by_component,
-    color_by_separation,
     color_by_speed,
     enclose_obstacle,
     least_over_agents,
@@ -50,7 +49,7 @@ def make_scene(data: RunData, mission: Connectivity) -> SwarmScene:
         colorings=(
             Coloring("role", role, "", (("leader", ORANGE), ("follower", BLUE))),
             color_by_component(frames.component),
-            color_by_separation(nearest),
+            Coloring("separation", nearest, "m"),
             color_by_speed(frames.velocity, alive),
             Coloring("own estimate of λ₂", estimate),
         ),

@@ -30,13 +30,7 @@ class CameraViews(NamedTuple):
 def compute_views(
     vehicles: VehicleState, alive: Bool[Array, "*k n"], mission: Connectivity
 ) -> CameraViews:
-    """Compute the view of every camera.
-
-    Args:
-        vehicles: True state of all agents.
-        alive: True for agents that see, are seen and block the line of sight.
-        mission: Drawn mission.
-    """
+    """Compute the view of every camera; those that are alive see, are seen and block the view."""
     position, yaw, camera = vehicles.position, vehicles.yaw, mission.camera
     distance, bearing = bearings(position, yaw)
     axis = np.array(camera.optical_axis)
@@ -62,16 +56,7 @@ def measure(
     mission: Connectivity,
     rng: np.random.Generator,
 ) -> Measurements:
-    """Measure with the sensors of all agents.
-
-    Args:
-        vehicles: True state of all agents.
-        views: Views of their cameras.
-        alive: True for agents that measure.
-        before: Measurements of a step ago.
-        mission: Drawn mission.
-        rng: Draws the noise of the cameras.
-    """
+    """Measure with the sensors of all live agents, after the measurements of a step ago."""
     sees = views.view_cosine > mission.assumed_camera.a_min
     p = np.where(sees[..., None], views.relative_position, np.nan)
     if mission.camera_noise > 0:

@@ -50,11 +50,7 @@ class RandomPoses(Definition):
     lambda2: Annotated[float, NotNegative, "λ₂ that the graph exceeds"] = 0.05
 
     def draw(self, agents: int, camera: Camera, rng: np.random.Generator) -> Poses:
-        """Draw poses until λ₂ is large enough.
-
-        Raises:
-            InputError: There is no room, or no such graph in many draws.
-        """
+        """Draw poses until λ₂ is large enough; refuse a box without room for them."""
         box = self.box or np.array(BOX_OF_SIX) * (agents / 6) ** (1 / 3)
         best, floor = 0.0, np.array([0.0, 0.0, self.height])
         for _ in range(MAX_DRAWS):

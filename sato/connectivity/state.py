@@ -94,12 +94,7 @@ class Knowledge(NamedTuple):
 
     @classmethod
     def at_start(cls, relative_yaw: Float[Array, "n n"], rng: np.random.Generator) -> "Knowledge":
-        """Return what agents know that have neither looked nor heard.
-
-        Args:
-            relative_yaw: First estimates ψ̃_ij [rad].
-            rng: Draws the first iterates of the power iteration.
-        """
+        """Return what agents know that have neither looked nor heard, by first estimates ψ̃_ij."""
         n = len(relative_yaw)
         pairs, rows, unseen = np.zeros((n, n)), np.zeros((n, n, n)), np.full((n, n, 3), np.nan)
         never, still = np.full((n, n), -np.inf), np.zeros((n, 3))

@@ -10,8 +10,9 @@ from numpy import ndarray as Array
 
 from dynamics.callbacks import Callback, as_kind, as_shape
 from dynamics.units import Key, Length, Speed, Time, Unit
+from sato.connectivity.obstacles import Rows
 from sato.scenario.csv_file import read_columns
-from sato.scenario.definition import LATER, Definition, Matrix, NotNegative, Positive, Vector
+from sato.scenario.definition import LATER, Definition, NotNegative, Positive, Vector
 from sato.scenario.errors import InputError
 
 CLOCK_OF_ITS_OWN = 1e8  # times from which on count from the first: 1973 in Unix seconds [s]
@@ -42,7 +43,7 @@ class WaypointStick(Stick):
     """An operator that steers for one waypoint after another, and lets go now and then."""
 
     kind: ClassVar[str] = "waypoints"
-    waypoints: Annotated[Matrix, Unit("m"), "waypoints in the world frame; drawn if absent"] = LATER
+    waypoints: Annotated[Rows, Unit("m"), "waypoints in the world frame; drawn if absent"] = LATER
     count: Annotated[int, Positive, "number of waypoints that are drawn"] = 4
     spacing: Annotated[Length, Positive, "distance of two drawn waypoints"] = 20.0
     speed: Annotated[Speed, Positive, "commanded speed"] = 2.5
@@ -57,11 +58,6 @@ class WaypointStick(Stick):
     time_constant: Annotated[
         Time, Key("slow"), Positive, "time constant of the approach to a waypoint"
     ] = 0.5
-
-    def check(self) -> None:
-        """Refuse waypoints that are not in space."""
-        if self.waypoints is not None:
-            _check_rows(self.waypoints, "waypoints_m")
 
     def draw(self, leader: Vector3, rng: np.random.Generator) -> "WaypointStick":
         """Return the stick with waypoints; drawn ones are level with the leader's start."""
@@ -106,7 +102,7 @@ class RecordedStick(Stick):
 
     kind: ClassVar[str] = "recorded"
     times: Annotated[Vector, Unit("s"), "increasing times"] = LATER
-    velocities: Annotated[Matrix, Unit("m_s"), "velocity from each time on, in the world frame"] = (
+    velocities: Annotated[Rows, Unit("m_s"), "velocity from each time on, in the world frame"] = (
         LATER
     )
     file: Annotated[str | None, "CSV file with rows of time, v_x, v_y, v_z; in s and m/s"] = None
@@ -117,7 +113,6 @@ class RecordedStick(Stick):
             return
         if self.times is None or self.velocities is None:
             raise InputError("", "needs a file, or times_s and velocities_m_s")
-        _check_rows(self.velocities, "velocities_m_s")
         if len(self.times) != len(self.velocities):
             text = f"has {len(self.times)} times for {len(self.velocities)} velocities"
             raise InputError("times_s", text)
@@ -172,11 +167,7 @@ class RecordedStick(Stick):
         ]
 
     def without_file(self) -> "RecordedStick":
-        """Return the same stick with the contents of its file.
-
-        Raises:
-            InputError: The file cannot be read, or holds no recording.
-        """
+        """Return the same stick with the contents of its file."""
         if self.file is None:
             return self
         try:
@@ -204,8 +195,3 @@ class RecordedStick(Stick):
     def has_arrived(self, position: Vector3, waypoints_reached: int) -> bool:
         """Return False: there are no waypoints."""
         return False
-
-
-def _check_rows(rows: Float[Array, "k d"], key: str) -> None:
-    if rows.shape[1] != 3:
-        raise InputError(key, f"needs rows of 3 coordinates, got {rows.shape[1]}")

@@ -25,10 +25,7 @@ def estimate_relative_yaw(
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n 7"]]:
     """Advance ψ̃_ij of every agent for every other, and the observers.
 
-    Args:
-        known: Measurements and messages of now, estimates of a step ago.
-        mission: Drawn mission.
-        time: Time [s].
+    Measurements and messages are those of now, estimates those of a step ago.
     """
     measurements, inbox, estimates = known
     tracking, camera, dt = mission.tracking, mission.assumed_camera, mission.step

@@ -41,14 +41,7 @@ class AssignmentResult(NamedTuple):
 def observe_neighbors(
     state: FormationState, roles: Roles, frames: CoordinateFrames, graph: Bool[Array, "n n"]
 ) -> NeighborPositions:
-    """Collect the positions that each agent knows of the holders of neighboring points.
-
-    Args:
-        state: State of all agents, with the messages received.
-        roles: Assignment, as each agent knows it.
-        frames: Coordinate frames; each agent knows those of its neighbors in its own.
-        graph: Graph of the formation.
-    """
+    """Collect the positions that each agent knows of the holders of neighboring points."""
     agents = np.arange(len(state.position))
     heard = state.heard(agents[:, None], roles.holder)
     own = frames.rotation[:, None].conj()
@@ -63,13 +56,7 @@ def observe_neighbors(
 def compute_cost_matrix(
     seen: NeighborPositions, assignment: Int[Array, " agents"], points: Float[Array, "points 3"]
 ) -> Float[Array, "agents points"]:
-    """Compute the squared distance of each agent to each point [m²] [Lusk2020, eq. 14].
-
-    Args:
-        seen: Positions that each agent knows.
-        assignment: Point that each agent holds.
-        points: Points of the formation [m].
-    """
+    """Compute the squared distance of each agent to each point [m²] [Lusk2020, eq. 14]."""
     own = seen.positions[np.arange(len(assignment)), assignment]
     pose = align(points[None], seen.positions, seen.is_known)
     offset = pose.transform(points[None]) - own[:, None]
@@ -85,17 +72,7 @@ def assign_points(
     rng: np.random.Generator,
     outages: PairOutages | None = None,
 ) -> AssignmentResult:
-    """Hold an auction among the agents that hear each other now.
-
-    Args:
-        mission: A drawn mission.
-        leg: Index of the leg.
-        auction_index: Number of auctions held before on this leg.
-        state: State of all agents, with the messages received.
-        roles: Assignment until now.
-        rng: Generator for lost bids.
-        outages: Those of the links in the rounds to come.
-    """
+    """Hold an auction among agents that hear each other now; outages are of the rounds to come."""
     formation, agents = mission.gains[leg].formation, np.arange(mission.agents)
     settings, link, points = mission.assignment, mission.timed_link, formation.points
     if settings.method == "hungarian":

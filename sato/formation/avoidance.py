@@ -111,18 +111,8 @@ def limit_approach(u, others, count, keep_out, rules, planes):
     Each of the others bounds the speed towards it, which makes a half-plane of velocities; the
     closest velocity in all of them is taken. Standing still is one of them, except where some
     agents are too close already. Where no velocity separates from all of these, one that
-    approaches none of them is taken.
-
-    Args:
-        u: Velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
-        others: Relative positions of the others in the plane, (≥ count, ≥ 2) [m].
-        count: Number of others.
-        keep_out: Least distance of two agents [m].
-        rules: Numbers of the avoidance, a `CollisionAvoidance`.
-        planes: Buffer for half-planes, (≥ count, 3).
-
-    Returns:
-        True where the velocity was changed.
+    approaches none of them is taken. Arguments and result are as of `avoid_collisions`; of the
+    others the positions suffice, and the buffer needs a row for each.
     """
     _bound_approach(others, count, keep_out, rules, -np.inf, planes)
     x, y, found = _project(u[0], u[1], planes, count)

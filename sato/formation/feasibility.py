@@ -12,11 +12,7 @@ if TYPE_CHECKING:
 
 
 def check_swarm(mission: "Formation") -> None:
-    """Refuse a swarm that starts in motion, has no legs or another number of agents.
-
-    Raises:
-        InputError: It is one of these.
-    """
+    """Refuse a swarm that starts in motion, has no legs or another number of agents."""
     if not mission.legs:
         raise InputError("leg", "needs at least 1 entry, got 0")
     if mission.agents is None:
@@ -44,11 +40,7 @@ def duration_doubts(mission: "Formation") -> list[str]:
 
 
 def check_clearance(mission: "Formation") -> None:
-    """Refuse an avoidance that begins when it is too late to stop.
-
-    Raises:
-        InputError: It does; says which range or deceleration would do.
-    """
+    """Refuse an avoidance that begins when it is too late to stop."""
     avoidance, keep_out, speed = mission.avoidance, mission.keep_out, mission.max_speed
     if avoidance.legacy:
         if mission.control_law.upright:
@@ -67,11 +59,7 @@ def check_clearance(mission: "Formation") -> None:
 
 
 def check_messages(mission: "Formation") -> None:
-    """Refuse messages between control steps, and an auction that lost messages would not end.
-
-    Raises:
-        InputError: It is one of these.
-    """
+    """Refuse messages between control steps, and an auction that lost messages would not end."""
     radio, link, step = mission.radio, mission.link, mission.step
     rate = radio.message_rate
     link.require_none(
@@ -99,11 +87,7 @@ def check_messages(mission: "Formation") -> None:
 
 
 def check_operator_commands(mission: "Formation") -> None:
-    """Refuse commands to vehicles that do not exist, and two commands at a time.
-
-    Raises:
-        InputError: There is one.
-    """
+    """Refuse commands to vehicles that do not exist, and two commands at a time."""
     commands = mission.operator_commands
     for number, command in enumerate(commands):
         if command.agent >= mission.agents:

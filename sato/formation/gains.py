@@ -20,11 +20,7 @@ class DesignedGains(Definition):
     kind: Annotated[GainMethod, "method of design"] = "auto"
 
     def build(self, formation: DesiredFormation) -> GainMatrix:
-        """Design the gains of a formation.
-
-        Raises:
-            InputError: It has none, or the method finds none.
-        """
+        """Design the gains of a formation."""
         parts = formation.points.tobytes(), formation.graph.tobytes(), formation.name
         try:
             return _design_once(self.kind, *parts)
@@ -59,11 +55,7 @@ class ListedGains(Definition):
             raise InputError("", "need two bounds, and five numbers an edge")
 
     def build(self, formation: DesiredFormation) -> GainMatrix:
-        """Assemble the gains of a formation.
-
-        Raises:
-            InputError: They belong to another formation.
-        """
+        """Assemble the gains of a formation; refuse those of another."""
         n = len(formation.points)
         i, j, real, imaginary, z = self.edges.T
         ends = np.stack([i, j]).astype(int)
@@ -86,20 +78,17 @@ class GainsFile(Definition):
     file: Annotated[str, "file that `sato gains` wrote"]
 
     def read(self, formation: DesiredFormation | None = None) -> ListedGains:
-        """Read the gains.
-
-        Args:
-            formation: Formation that they have to belong to, if that is to be checked.
-
-        Raises:
-            InputError: The file cannot be read, or holds gains of another formation.
-        """
+        """Read the gains; refuse those of another formation, if one is given."""
         with errors_in("gains.file"):
             gains = GainMatrix.load(self.file)
         if formation is not None and not gains.matches_formation(formation):
             text = f'{self.file} holds gains of other points or another graph; "auto" would do'
             raise InputError("gains.file", text)
         return list_gains(gains)
+
+    def build(self, formation: DesiredFormation) -> GainMatrix:
+        """Read the gains of a formation."""
+        return self.read(formation).build(formation)
 
 
 AnyGains = DesignedGains | ListedGains | GainsFile

@@ -110,11 +110,7 @@ class EdgeList(Definition):
         return cls(np.argwhere(np.triu(graph)))
 
     def adjacency(self, count: Amount) -> Bool[Array, "n n"]:
-        """Return the adjacency matrix for this number of points.
-
-        Raises:
-            InputError: An edge does not join two different points.
-        """
+        """Return the adjacency matrix for this number of points; refuse edges of others."""
         for i, j in self.pairs.tolist():
             if i == j or max(i, j) >= count:
                 text = f"[{i}, {j}] is no pair of two of the points, which are 0 to {count - 1}"
@@ -182,8 +178,7 @@ class FormationLeg(Definition):
         Raises:
             InputError: The formation has none, or these belong to another.
         """
-        gains = self.gains.read(self.desired) if isinstance(self.gains, GainsFile) else self.gains
-        return gains.build(self.desired)
+        return self.gains.build(self.desired)
 
     def draw(
         self, agents: Amount, keep_out: Annotated[float, NotNegative], rng: Generator

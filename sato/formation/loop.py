@@ -36,10 +36,6 @@ def simulate(mission: Formation, rng: np.random.Generator) -> Iterator[Formation
     """Fly through all formations, and yield a frame every `mission.frame_period`.
 
     Ends early where the swarm has been gridlocked for too long, or the time is over.
-
-    Args:
-        mission: A drawn mission.
-        rng: Generator for noise, wandering and lost messages.
     """
     return _Simulation(mission, rng).frames()
 

@@ -180,10 +180,7 @@ class Formation(Mission):
 def legacy_formation(start: Any, legs: Sequence[FormationLeg], **changed: Any) -> Formation:
     """Return the flight as [Lusk2020]'s code has it, so that its tables can be reproduced.
 
-    Args:
-        start: As of a `Formation`.
-        legs: As of a `Formation`.
-        changed: Fields that are to differ from the paper's.
+    Start and legs are as of a `Formation`; fields that are changed differ from those of the paper.
     """
     paper: dict[str, Any] = {
         "step": 0.01,

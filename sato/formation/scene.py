@@ -15,7 +15,6 @@ from sato.scene import (
     SwarmScene,
     Targets,
     color_by_component,
-    color_by_separation,
     color_by_speed,
     color_by_target,
     least_over_agents,
@@ -47,7 +46,7 @@ def make_scene(data: RunData, mission: Formation) -> SwarmScene:
         colorings=(
             color_by_target(targets),
             Coloring("avoidance", avoiding, "", (("free", BLUE), ("avoiding", ORANGE))),
-            color_by_separation(nearest),
+            Coloring("separation", nearest, "m"),
             color_by_speed(frames.velocity, alive),
             color_by_component(frames.component),
         ),

@@ -156,13 +156,7 @@ def track_nearby(
     velocity: Float[Array, "agents 2"],
     nearby: Nearby,
 ) -> Float[Array, "pairs 4"]:
-    """Track those within range, by positions that each agent measures in its own frame.
-
-    Args:
-        state: State, whose tracks are changed in place.
-        swarm: Constants.
-        velocity: Each agent's own velocity, in its own frame [m/s].
-        nearby: Those within range.
+    """Track those within range, by what each agent measures; the tracks are changed in place.
 
     Returns:
         Relative positions and velocities of those within range [m, m/s].

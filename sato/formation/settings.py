@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Le
+from annotated_types import Le, Len
 from jaxtyping import Complex, Float
 from numpy import ndarray as Array
 from pydantic import BeforeValidator
@@ -145,11 +145,9 @@ class OperatorCommand(Definition):
     agent: Annotated[int, Key("vehicle"), NotNegative, "index of the vehicle"]
     start: Annotated[Time, NotNegative, "time of its beginning, from the start of the flight"]
     end: Annotated[Time, Positive, "time of its end"]
-    velocity: Annotated[Coordinates, Unit("m_s"), "velocity in the vehicle's own frame"]
+    velocity: Annotated[Coordinates, Len(3, 3), Unit("m_s"), "velocity in the vehicle's own frame"]
 
     def check(self) -> None:
-        """Refuse a command that ends before it begins, or in the plane."""
-        if len(self.velocity) != 3:
-            raise InputError("velocity_m_s", f"needs 3 coordinates, got {len(self.velocity)}")
+        """Refuse a command that ends before it begins."""
         if not self.start < self.end:
             raise InputError("end_s", f"from {self.start:g} s to {self.end:g} s it never begins")

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Len
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.spatial.distance import pdist, squareform
@@ -20,7 +21,7 @@ class RandomStart(Definition):
     """Positions drawn from a rectangle, all at one height."""
 
     kind: ClassVar[str] = "random"
-    box: Annotated[Coordinates, Unit("m"), "sides along x and y, from the origin on"]
+    box: Annotated[Coordinates, Len(2, 2), Unit("m"), "sides along x and y, from the origin on"]
     separation: Annotated[Length, Positive, "least distance of two agents"]
     height: Annotated[Length, "height of all agents"] = 1.0
 
@@ -31,21 +32,9 @@ AnyStart = RandomStart | AnyShape
 def draw_start(
     start: AnyStart, agents: int, keep_out: float, rng: np.random.Generator
 ) -> Float[Array, "agents 3"]:
-    """Return the initial position of every agent [m].
-
-    Args:
-        start: Random start, points or shape.
-        agents: Number of agents.
-        keep_out: Least distance of two of them in the plane [m].
-        rng: Generator for a random start.
-
-    Raises:
-        InputError: There is no such start, or two agents are too close in it.
-    """
+    """Return the initial position of every agent [m]; refuse a start where two are too close."""
     if isinstance(start, RandomStart):
         check_drawn_separation(start.separation, keep_out)
-        if len(start.box) != 2:
-            raise InputError("box_m", f"needs 2 sides, along x and y, got {len(start.box)}")
         with errors_in("box_m"):
             flat = sample_positions(agents, start.box, start.separation, rng)
         placed = np.column_stack([flat, np.full(agents, start.height)])
@@ -58,11 +47,7 @@ def draw_start(
 
 
 def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "count 3"]:
-    """Place a shape in space; a lattice is flat, for no vehicle may be above another.
-
-    Raises:
-        InputError: The shape does not fit the count or the distance.
-    """
+    """Place a shape in space; a lattice is flat, for no vehicle may be above another."""
     if shape.place_velocities(count, 3) is not None:
         raise InputError("", "has velocities, and vehicles begin and end at rest; drop them")
     level = np.zeros((count, 3))
@@ -72,11 +57,7 @@ def place_level(shape: Shape, count: int, min_distance: float) -> Float[Array, "
 
 
 def check_separation(placed: Float[Array, "n 3"], keep_out: float) -> None:
-    """Refuse points that are closer in the plane than agents are allowed to come.
-
-    Raises:
-        InputError: They are.
-    """
+    """Refuse points that are closer in the plane than agents are allowed to come."""
     distance = squareform(pdist(placed[:, :2]))
     np.fill_diagonal(distance, np.inf)
     if distance.min() < keep_out * (1 - 1e-9):  # rounding is not too close
@@ -86,11 +67,7 @@ def check_separation(placed: Float[Array, "n 3"], keep_out: float) -> None:
 
 
 def check_drawn_separation(separation: float, keep_out: float) -> None:
-    """Refuse random points that may be closer than the agents are allowed to come.
-
-    Raises:
-        InputError: They may.
-    """
+    """Refuse random points that may be closer than the agents are allowed to come."""
     if separation < keep_out:
         text = f"{separation:g} is less than keep_out_m = {keep_out:g}"
         raise InputError("separation_m", f"{text}; {keep_out:g} or more would do")

@@ -4,12 +4,13 @@ When the swarm has converged and when it is gridlocked is decided as by the base
 [Lusk2020]'s trials. No agent receives anything from it.
 """
 
+from collections import deque
 from collections.abc import Iterator
 from enum import Enum
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.formation.mission import Formation
@@ -32,40 +33,11 @@ class Phase(Enum):
 def find_blocked(
     mission: Formation, velocity: Float[Array, "agents 3"], avoiding: Bool[Array, " agents"]
 ) -> Bool[Array, " agents"]:
-    """Find the agents that others stop; in [Lusk2020]'s trials, all that avoid others.
-
-    Args:
-        mission: Largest speed, and the avoidance.
-        velocity: Velocities flown [m/s].
-        avoiding: True for agents that change their command to avoid others.
-    """
+    """Find the agents that others stop; in [Lusk2020]'s trials, all that avoid others."""
     if mission.avoidance.legacy:
         return avoiding.copy()
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     return np.asarray(avoiding & (speed < BLOCKED_SPEED_SHARE * mission.max_speed))
-
-
-class RecentRows:
-    """Latest rows of a sequence, side by side in the order of time."""
-
-    def __init__(self, count: int) -> None:
-        """Keep so many rows."""
-        self._count, self._end = count, 0
-        self._rows = np.empty((0, 0))
-
-    def append(self, row: Shaped[Array, " n"]) -> None:
-        """Add a row; the oldest is forgotten."""
-        if not self._end:
-            self._rows = np.empty((2 * self._count, len(row)), row.dtype)
-        if self._end == len(self._rows):
-            self._end = self._count - 1
-            self._rows[: self._end] = self._rows[self._count + 1 :]
-        self._rows[self._end] = row
-        self._end += 1
-
-    def mean(self) -> Float[Array, " n"]:
-        """Compute the mean of the rows."""
-        return np.asarray(self._rows[max(0, self._end - self._count) : self._end].mean(axis=0))
 
 
 class Supervisor:
@@ -83,7 +55,7 @@ class Supervisor:
         self.phase, self.time_in_phase = Phase.WAITING, 0.0  # [s]
         self._settings, self._period = settings, period
         window = max(1, round(settings.averaging_window / period))
-        self._speeds, self._blocked = RecentRows(window), RecentRows(window)
+        self._speeds, self._blocked = deque[Array](maxlen=window), deque[Array](maxlen=window)
 
     def mark_assigned(self) -> None:
         """Note that every agent knows its point."""
@@ -101,8 +73,8 @@ class Supervisor:
         self._speeds.append(speed)
         self._blocked.append(blocked)
         self.time_in_phase += self._period
-        is_blocked = self._blocked.mean() > settings.gridlock_share
-        has_arrived = self._speeds.mean() < settings.convergence_speed
+        is_blocked = np.mean(self._blocked, axis=0) > settings.gridlock_share
+        has_arrived = np.mean(self._speeds, axis=0) < settings.convergence_speed
         is_slow = bool(has_arrived.all())
         is_stuck = bool(is_blocked.any() if self._legacy else (is_blocked | has_arrived).all())
         if phase is Phase.CONVERGED:

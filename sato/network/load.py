@@ -1,7 +1,7 @@
 """Load of a network by what its agents agree on: synchronous rounds, messages and bytes.
 
 An agent sends a message to all of its neighbors in the rounds in which it has something new to
-say, and is silent in all others: see `reconfiguration.encoding`. Reports that agents pass on travel
+say, and is silent in all others: see `network.encoding`. Reports that agents pass on travel
 one hop a round, so the number of hops between all agents tells when each of them has something to
 pass on.
 """

@@ -97,9 +97,6 @@ def generate_solver(problem: FixedSizeAvoidanceProblem, folder: Path) -> list[st
 
     Returns:
         Numbers of variables, inequalities, equations, linear inequalities and cones.
-
-    Raises:
-        RuntimeError: The generated code does not have the expected form.
     """
     from cvxpygen import cpg
 

@@ -37,11 +37,7 @@ class CompiledSolver:
     """Solver in a folder of `export_c`, compiled with `make`; it takes one call at a time."""
 
     def __init__(self, folder: str | Path) -> None:
-        """Compile the code where that was not done yet, and load it.
-
-        Raises:
-            ValueError: The code does not compile.
-        """
+        """Compile the code where that was not done yet, and load it; say why it cannot be."""
         made = subprocess.run(["make", "-s"], cwd=folder, capture_output=True, text=True)
         if made.returncode != 0:
             raise ValueError(f"{folder}: does not compile: {made.stderr}")

@@ -51,12 +51,7 @@ class ArrayWriter:
 
 
 def encode_scene(scene: SwarmScene, about: dict[str, Any]) -> bytes:
-    """Encode a scene with all that the page says about the run.
-
-    Args:
-        scene: Scene of the run.
-        about: Texts for the page, as JSON.
-    """
+    """Encode a scene with all that the page says about the run."""
     instants, agents = scene.status.shape
     every = int(np.ceil(instants * agents / MAX_STATES))
     k, writer = np.arange(0, instants, every), ArrayWriter()

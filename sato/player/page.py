@@ -28,9 +28,6 @@ def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -
         attributes: Attributes of the run.
         path: File to write; its folder is made if it is missing.
 
-    Returns:
-        The path.
-
     Raises:
         InputError: The path is that of a folder.
         OSError: The file cannot be written; one that was there is kept.

@@ -11,6 +11,8 @@ import struct
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import cache, lru_cache
+from itertools import chain
+from math import prod
 from pkgutil import resolve_name
 from typing import Any
 
@@ -60,6 +62,7 @@ TYPES = """
 
 MAX_DEPTH = 32  # of values within values
 MAX_KEPT = 4096  # members of sets, encoded or decoded
+_TAGS: dict[type, bytes] = {tuple: b"t", list: b"l", dict: b"d"}
 NUMBERS = "<f8 <f4 <i8 <i4 <i2 |i1 |u1 |b1".split()  # types of arrays
 
 
@@ -68,22 +71,14 @@ class CodecError(ValueError):
 
 
 def encode(value: Any) -> bytes:
-    """Encode a value.
-
-    Raises:
-        CodecError: It, or a part of it, has a type that is not on the list.
-    """
+    """Encode a value; a `CodecError` refuses types that are not on the list."""
     out = bytearray()
     _write(out, value)
     return bytes(out)
 
 
 def decode(data: bytes) -> Any:
-    """Decode a value.
-
-    Raises:
-        CodecError: The bytes are none.
-    """
+    """Decode a value; a `CodecError` refuses bytes that are none."""
     try:
         return _Reader(data).read_all(0)
     except CodecError:
@@ -117,16 +112,16 @@ def _write(out: bytearray, value: Any) -> None:
         out += struct.pack("<cq", b"i", value)
     elif isinstance(value, float):
         out += struct.pack("<cd", b"f", value)
-    elif isinstance(value, str):
-        _write_bytes(out, b"s", value.encode())
-    elif isinstance(value, bytes):
-        _write_bytes(out, b"b", value)
+    elif isinstance(value, str | bytes):
+        content = value.encode() if isinstance(value, str) else value
+        out += struct.pack("<cI", b"b" if value is content else b"s", len(content)) + content
     elif isinstance(value, Array):
         _write_array(out, value)
-    elif type(value) is tuple:
-        _write_each(out, b"t", value)
-    elif type(value) is list:
-        _write_each(out, b"l", value)
+    elif type(value) in _TAGS:
+        parts = [*chain.from_iterable(value.items())] if type(value) is dict else value
+        out += struct.pack("<cI", _TAGS[type(value)], len(parts))
+        for part in parts:
+            _write(out, part)
     elif type(value) is frozenset:
         out += struct.pack("<cI", b"z", len(value))
         for member in value:
@@ -135,8 +130,6 @@ def _write(out: bytearray, value: Any) -> None:
             kind = _registry()[0].get(type(member), -1)
             own = _encode_member(kind, member) if is_tuple else encode(member)
             out += struct.pack("<I", len(own)) + own
-    elif type(value) is dict:
-        _write_each(out, b"d", [part for pair in value.items() for part in pair])
     else:
         raise CodecError(f"a {type(value).__name__} cannot be sent: it is on no list of types")
 
@@ -149,16 +142,6 @@ def _encode_member(kind: int, member: Hashable) -> bytes:
 @lru_cache(MAX_KEPT)
 def _decode_member(data: bytes, depth: int) -> Any:
     return _Reader(data).read_all(depth)
-
-
-def _write_bytes(out: bytearray, tag: bytes, content: bytes) -> None:
-    out += struct.pack("<cI", tag, len(content)) + content
-
-
-def _write_each(out: bytearray, tag: bytes, values: Any) -> None:
-    out += struct.pack("<cI", tag, len(values))
-    for value in values:
-        _write(out, value)
 
 
 def _write_array(out: bytearray, value: Array) -> None:
@@ -196,7 +179,7 @@ class _Reader:
             return self._read_array()
         if tag == b"r":
             return self._read_record(depth)
-        if tag not in _COUNTED:
+        if tag not in b"sbz" and tag not in _COUNTED:
             raise CodecError(f"is no message: no type has the mark {tag!r}")
         (count,) = self._unpack("<I")
         if tag in b"sb":
@@ -220,10 +203,8 @@ class _Reader:
         if kind >= len(NUMBERS):
             raise CodecError(f"is no message: no array has the type {kind}")
         shape, dtype = self._unpack(f"<{axes}I"), np.dtype(NUMBERS[kind])
-        count = 1
-        for length in shape:
-            count *= length
-        return np.frombuffer(self._take(count * dtype.itemsize), dtype).reshape(shape).copy()
+        data = self._take(prod(shape) * dtype.itemsize)
+        return np.frombuffer(data, dtype).reshape(shape).copy()
 
     def _unpack(self, format: str) -> tuple[Any, ...]:
         return struct.unpack(format, self._take(struct.calcsize(format)))
@@ -242,11 +223,4 @@ def _pair_up(values: Iterable[Any]) -> dict[Any, Any]:
 
 
 _SIMPLE = {b"n": None, b"T": True, b"F": False}
-_COUNTED: dict[bytes, Callable[[Iterable[Any]], Any]] = {
-    b"s": str,
-    b"b": bytes,
-    b"t": tuple,
-    b"l": list,
-    b"z": frozenset,
-    b"d": _pair_up,
-}
+_COUNTED: dict[bytes, Callable[[Iterable[Any]], Any]] = {b"t": tuple, b"l": list, b"d": _pair_up}

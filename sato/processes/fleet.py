@@ -1,14 +1,12 @@
 """Processes of all vehicles: their start, what they say, and their end."""
 
-import multiprocessing
 import signal
 from collections import deque
 from collections.abc import Iterable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any
 
 from sato.processes.messages import Fault, Hearing
@@ -16,6 +14,7 @@ from sato.processes.network import Connection, find_port, load_zenoh
 from sato.processes.vehicle_process import run_vehicle
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
+from sato.workers import make_context
 
 MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
@@ -29,18 +28,14 @@ class VehicleError(RuntimeError):
     """A vehicle that cannot go on."""
 
 
-class Fleet:
+class Fleet(AbstractContextManager["Fleet"]):
     """Processes of all vehicles, and the connection of the world to them.
 
     A process that the user starts for a vehicle, by `sato vehicle`, is one of them.
     """
 
     def __init__(self, port: int | None = None) -> None:
-        """Listen for vehicles at a port, or any that is free.
-
-        Raises:
-            InputError: Zenoh is not installed, or the port is in use.
-        """
+        """Listen for vehicles at a port, or any that is free; refuse one that is in use."""
         load_zenoh()
         self.port = find_port(port)
         self.processes: dict[int, Any] = {}  # those that were started here
@@ -51,16 +46,7 @@ class Fleet:
         self._connection = Connection(self.port)
         self._connection.watch("*", self._note_end)
 
-    def __enter__(self) -> "Fleet":
-        """Return the same."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """End all processes, also those that are paused."""
         for process in self.processes.values():
             process.kill()
@@ -75,9 +61,7 @@ class Fleet:
     def start(self, numbers: Iterable[int]) -> None:
         """Start the processes of some vehicles, and wait until all are there.
 
-        Raises:
-            InputError: They take more memory than there is.
-            VehicleError: One ends before it is there, or all take too long.
+        Refuse those for which there is no memory; a `VehicleError` says that one has ended early.
         """
         each = list(numbers)
         check_memory(len(each))
@@ -152,11 +136,7 @@ class Fleet:
 
 
 def check_memory(count: int) -> None:
-    """Refuse more processes than memory allows.
-
-    Raises:
-        InputError: They take more than is free.
-    """
+    """Refuse more processes than memory allows."""
     free = _free_memory()
     fits = int(free // PROCESS_MEMORY)
     if count > fits:
@@ -175,10 +155,9 @@ def _free_memory() -> float:
 
 def _context() -> Any:
     # Forking takes a tenth of a second, and libraries are loaded once.
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(PRELOADED)
+    context = make_context(PRELOADED)
+    if context.get_start_method() == "spawn":
+        return context
     # Ctrl-C is for the world alone, which ends all others.
     resource_tracker.ensure_running()  # which unblocks it
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -32,19 +32,10 @@ def as_processes(
     speed: float = 1.0,
     announce: Callable[[Fleet], object] = lambda fleet: None,
 ) -> System[Any, Any]:
-    """Return a system that flies a mission with a process for each vehicle.
+    """Return a system that flies a mission, not drawn, with a process for each vehicle.
 
-    Args:
-        system: System of the mission.
-        mission: Mission, not drawn.
-        seed: Seed with which it is drawn.
-        mode: In lock step, or free running.
-        port: At which the world listens; any that is free by default.
-        speed: Times as fast as by the clock, free running.
-        announce: Called with the processes, once all are there.
-
-    Raises:
-        InputError: The mission cannot be flown so; says what would do.
+    It refuses a mission that cannot be flown so. The function that announces is called with the
+    processes once all are there; speed is that of free running, in times of the clock.
     """
     if not isinstance(mission, Reconfiguration):
         reason = "flies no vehicles as processes; a reconfiguration would do"
@@ -73,11 +64,7 @@ def as_processes(
 
 
 def check_vehicles(mission: Reconfiguration) -> None:
-    """Refuse a drawn mission with too many vehicles, or one that no agent can fly.
-
-    Raises:
-        InputError: It is; says what would do.
-    """
+    """Refuse a drawn mission with too many vehicles, or one that no agent can fly."""
     count = len(mission.initial_states)
     if count > MAX_VEHICLES:
         reason = f"{count} vehicles are too many for a process each; {MAX_VEHICLES} would do"
@@ -90,11 +77,7 @@ def check_vehicles(mission: Reconfiguration) -> None:
 
 
 def check_link(mission: Reconfiguration, mode: Mode) -> None:
-    """Refuse a mission whose messages do not pass as processes pass them.
-
-    Raises:
-        InputError: They do not; says what would do.
-    """
+    """Refuse a mission whose messages do not pass as processes pass them."""
     if mode == "free-running" and not mission.lag_steps:
         reason = "is 0, and messages between processes take time; 0.02 would do"
         raise InputError("link.round_s", reason)

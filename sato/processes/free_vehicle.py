@@ -18,19 +18,13 @@ from sato.processes.vehicle import Vehicle, begun_at
 
 HEARTBEAT = 0.1  # longest time between two signs of life [s]
 LATE_START = 0.1  # time by which processes may begin a decision one after another [s]
+_decode_once = lru_cache(64)(decode)
 
 
 class FreeVehicle:
     """Vehicle that runs freely."""
 
     def __init__(self, vehicle: Vehicle, send: Callable[[Any], object], tick: float) -> None:
-        """Begin.
-
-        Args:
-            vehicle: The vehicle.
-            send: Function that sends a value to the world.
-            tick: Time between two packets [s].
-        """
         self.vehicle, self.send, self.tick = vehicle, send, tick
         self._measured: Measured | None = None
         self._begun: Any = None  # decision under way, as it began
@@ -46,11 +40,7 @@ class FreeVehicle:
         self._has_consent = False
 
     def run(self, receive: Callable[[float], tuple[str, Any] | None]) -> None:
-        """Act until the world is gone.
-
-        Args:
-            receive: Function that returns a sender and a value that comes within a time [s].
-        """
+        """Act until the world is gone; what others send is received within a time [s]."""
         due = monotonic()
         while True:
             received = receive(max(0.0, due - monotonic()))
@@ -162,8 +152,3 @@ class FreeVehicle:
         is_listening, is_power = own[0] is None, self._age & (self._age - 1) == 0
         if is_listening or is_power or monotonic() > self._sent + HEARTBEAT:
             self._send(self._packet)
-
-
-@lru_cache(64)
-def _decode_once(content: bytes) -> Any:
-    return decode(content)

@@ -15,11 +15,7 @@ WORLD = "world"
 
 
 def load_zenoh() -> Any:
-    """Import Zenoh.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """Import Zenoh; an `InputError` says how it is installed."""
     try:
         import zenoh
     except ImportError as error:
@@ -28,13 +24,7 @@ def load_zenoh() -> Any:
 
 
 def find_port(wanted: int | None) -> int:
-    """Return a port that is free: the wanted one, or any.
-
-    Raises:
-        InputError: It is in use, or no port.
-    """
-    if wanted is not None and not 0 < wanted < 2**16:
-        raise InputError("", f"--port must be from 1 to {2**16 - 1}, got {wanted}")
+    """Return a port that is free: the wanted one, or any; refuse one that is in use."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -53,11 +43,7 @@ class Connection:
     """
 
     def __init__(self, port: int, number: int | None = None) -> None:
-        """Open a connection: of the world, which listens, or of the vehicle of a number.
-
-        Raises:
-            InputError: Nobody listens there, or the port is in use.
-        """
+        """Open a connection: of the world, which listens, or of the vehicle of a number."""
         zenoh, is_world = load_zenoh(), number is None
         config, own = zenoh.Config(), WORLD if is_world else str(number)
         for key, value in {
@@ -111,11 +97,9 @@ class Connection:
             return None
 
     def watch(self, others: str, when_gone: Callable[[str], object]) -> None:
-        """Call a function, in another thread, with each of some others that is gone.
+        """Call a function, in another thread, with the name of each of some others that is gone.
 
-        Args:
-            others: Number of a vehicle, "*" for all, or the world.
-            when_gone: Function of the number, as text.
+        The others are the number of a vehicle, "*" for all, or the world.
         """
 
         def change(sample: Any) -> None:

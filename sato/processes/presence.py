@@ -9,15 +9,6 @@ class Presence:
     """Processes and the world, which take note of each other."""
 
     def __init__(self, world: World, fleet: Fleet, scenario: str, seed: int, tick: float) -> None:
-        """Prepare to start processes.
-
-        Args:
-            world: World in which they fly.
-            fleet: Their processes.
-            scenario: Mission, as TOML.
-            seed: Seed with which it is drawn.
-            tick: Time between two packets of a vehicle that runs freely [s]; 0 in lock step.
-        """
         self.world, self.fleet = world, fleet
         self._told = scenario, seed, tick
 

@@ -203,8 +203,7 @@ class World:
     def look_around(self, silent: Sequence[int] = ()) -> dict[int, tuple[Sensed, ...]]:
         """Return what each vehicle has seen so far and its mission does not list, as it is now.
 
-        Args:
-            silent: Vehicles that are there and say nothing, which others see where they are near.
+        Those that are there and say nothing are seen by others where they are near.
         """
         seen, d = self._look_at_bodies(), self.mission.axes
         for j in silent:

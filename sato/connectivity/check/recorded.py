@@ -27,13 +27,8 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
     """Frames of a run, with time as their leading axis, and its drawn mission."""
 
     @cached_property
-    def min_separation(self) -> float:
-        """Least distance of two agents, between instants too; infinite for one [m]."""
-        return self.closest_pair.distance
-
-    @cached_property
     def closest_pair(self) -> common.ClosestPair:
-        """Closest two agents, between instants too."""
+        """Closest two agents, between instants too; infinitely far for one."""
         return common.find_closest_approach(self.frames.position, self.frames.alive)
 
     @cached_property
@@ -144,7 +139,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
             "followed": self.followed,
             "command_change_m_s": self.command_change,
             "chattering": self.chattering,
-            "min_separation_m": self.min_separation,
+            "min_separation_m": self.closest_pair.distance,
             "min_obstacle_distance_m": self.min_obstacle_distance,
             "edges_mean": float(np.triu(frames.edge_weight > 0).sum(axis=(1, 2)).mean()),
             "waypoints_reached": len(self.events.of_kind("waypoint")),
@@ -155,13 +150,3 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
 
 def _mean(values: Shaped[Array, "*k"], which: Bool[Array, "*k"]) -> float:
     return float(values[which].mean()) if which.any() else np.nan
-
-
-def nearest_agent_distance(p: Float[Array, "instants agents 3"]) -> Float[Array, "instants agents"]:
-    """Compute the distance of each agent to the nearest other [m]; NaN where its position is."""
-    found = np.full(p.shape[:2], np.inf)
-    for j in range(p.shape[1]):
-        away = np.linalg.norm(p - p[:, j : j + 1], axis=2)
-        away[:, j] = np.inf
-        found = np.fmin(found, away)
-    return np.where(np.isfinite(p[..., 0]) & np.isfinite(found), found, np.nan)

@@ -103,7 +103,7 @@ def plot_potential(record: ConnectivityRecord) -> Figure:
         slope.set(yscale="log", ylim=(least, None))
     limits = {"nearest": repulsion.min_distance, "farthest": repulsion.max_distance}
     _draw_curve(away, lambda d: d * repulsion_gain(d, repulsion), limits, " m")
-    nearest = min(record.min_separation, record.min_obstacle_distance)
+    nearest = min(record.closest_pair.distance, record.min_obstacle_distance)
     away.axvspan(nearest, away.get_xlim()[1], **RUN_RANGE_STYLE)
     away.axhline(record.mission.limits.speed, color=RED, ls="--", label="limit of the command")
     away.set(xlabel="distance [m]", ylabel="speed away [m/s]")

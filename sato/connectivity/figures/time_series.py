@@ -7,11 +7,12 @@ from jaxtyping import Int
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from sato.connectivity.check.recorded import ConnectivityRecord, nearest_agent_distance
+from sato.connectivity.check.recorded import ConnectivityRecord
 from sato.connectivity.obstacles import obstacle_distances
 from sato.figures import panels
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED
+from sato.scene import nearest_distances
 
 LOG_SCALE_BELOW = 0.1  # of λ₂^max: a smaller λ₂ needs a logarithmic scale
 LINEAR_BELOW = 1e-3  # error of λ₂ below which the scale is linear
@@ -72,9 +73,10 @@ def plot_edges(record: ConnectivityRecord) -> Figure:
 
 def plot_distances(record: ConnectivityRecord) -> Figure:
     """Plot the distances of robots to each other and to obstacles."""
-    there = np.where(record.frames.alive[..., None], record.frames.position, np.nan)
+    alive, position = record.frames.alive, record.frames.position
+    there = np.where(alive[..., None], position, np.nan)
     obstacles, between = record.mission.obstacle_arrays, record.mission.repulsion
-    found = {"another robot": nearest_agent_distance(there)}
+    found = {"another robot": nearest_distances(position, alive)}
     if obstacles.total:
         found["an obstacle"] = obstacle_distances(there, obstacles).min(axis=-1)
     figure, axes = panels.stack(record.frames.time, *[1.6] * len(found))

@@ -42,11 +42,6 @@ class Replay(NamedTuple):
 class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
     """A flight as recorded, and the mission as drawn again from its scenario."""
 
-    @property
-    def leg_index(self) -> Int[Array, " instants"]:
-        """Leg under way at each instant."""
-        return np.asarray(self.frames.leg_index)
-
     @cached_property
     def replay(self) -> Replay:
         """Course that the flight had to take by the recorded commands and avoidance."""
@@ -148,9 +143,10 @@ def summarize_leg(record: FormationRecord, leg: FormationLegRecord) -> dict[str,
         "reassignments": sum(leg.first_instant <= i <= leg.end_instant for i in assigned),
     }
     held = record.frames.point_index[leg.last_instant]
-    if np.array_equal(np.sort(held), np.arange(len(held))):  # no two vehicles hold one point
+    position = record.frames.position[leg.last_instant, np.argsort(held)]
+    is_whole = np.array_equal(np.sort(held), np.arange(len(held)))  # no two hold one point
+    if is_whole and np.isfinite(position).all():
         points = mission.gains[leg.leg].formation.points
-        position = record.frames.position[leg.last_instant, np.argsort(held)]
         shape = compute_shape_error(position, points)
         error = shape.upright if mission.control_law.upright else min(shape)
         summary["success"] = leg.completed and error <= mission.supervision.shape_tolerance

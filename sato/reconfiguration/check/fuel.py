@@ -25,14 +25,12 @@ MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at 
 
 def compute_step_fuel(record: ReconfigurationRecord) -> Float[Array, "steps agents"]:
     """Compute the fuel of every agent in every step [m/s]."""
-    u = np.where(record.is_flying[..., None], record.frames.control[:-1], 0.0)
-    return vector_norm(u, record.mission.fuel_norm) * record.mission.step
+    return vector_norm(record.flown_control, record.mission.fuel_norm) * record.mission.step
 
 
 def compute_step_energy(record: ReconfigurationRecord) -> Float[Array, "steps agents"]:
     """Compute the energy of every agent in every step [m²/s³]."""
-    u = np.where(record.is_flying[..., None], record.frames.control[:-1], 0.0)
-    return np.asarray((u**2).sum(axis=2) * record.mission.step)
+    return np.asarray((record.flown_control**2).sum(axis=2) * record.mission.step)
 
 
 def compute_fuel_bound(record: ReconfigurationRecord, leg: LegRecord) -> FuelBound | None:

@@ -85,11 +85,6 @@ class ReconfigurationRecord(
 ):
     """Frames and variables of a run, and the drawn mission."""
 
-    @property
-    def leg_index(self) -> Int[Array, " instants"]:
-        """Leg under way at each instant."""
-        return np.asarray(self.frames.leg_index)
-
     @cached_property
     def state(self) -> Float[Array, "instants agents n"]:
         """True positions and velocities [m, m/s]."""
@@ -190,6 +185,11 @@ class ReconfigurationRecord(
     def is_flying(self) -> Bool[Array, "steps agents"]:
         """True for agents that fly a step: alive at its start, also if they are lost at its end."""
         return self.frames.alive[:-1]
+
+    @property
+    def flown_control(self) -> Float[Array, "steps agents d"]:
+        """Commanded control of each step; 0 for agents that do not fly it [m/s²]."""
+        return np.where(self.is_flying[..., None], self.frames.control[:-1], 0.0)
 
     def repropagate(self, pieces: int = 1) -> Float[Array, "steps {pieces}+1 agents n"]:
         """Propagate every recorded state by the plant under the applied control of its step.

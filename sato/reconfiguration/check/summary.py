@@ -203,7 +203,7 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
     m, distance = leg.largest_target_count, distance[is_open]
     is_hole = ~(distance[:m] <= record.mission.position_tolerance)
     spacing = min_distance(record.leg_targets(leg)[is_open][:m, : record.mission.axes])
-    gap = float(distance.max(initial=0.0)) / spacing if np.isfinite(spacing) else np.nan
+    gap = float(distance.max(initial=0.0)) / spacing if 0 < spacing < np.inf else np.nan
     found = {"holes": int(is_hole.sum()), "gap": gap}
     return found | ({"blocked": len(left_out)} if len(left_out) else {})
 

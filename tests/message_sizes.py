@@ -1,4 +1,4 @@
-"""Purposes and sizes of the messages of a decision, see `network.encoding`."""
+"""Purposes and sizes of messages, measured from their contents: a second opinion on loads."""
 
 from collections.abc import Iterable
 from typing import Any
