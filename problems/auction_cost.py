@@ -57,7 +57,7 @@ def compute_transfer_costs(
         ValueError: A state is not finite, or no step is left.
     """
     steps, shape = transfer.model, (len(start), len(targets))
-    _validate(len(steps), start, targets)
+    transfer.require_steps()
     unreachable = unreachable_cost(steps, transfer.control_limit.most)
     if transfer.objective == "energy":
         return _compute_energy_costs(transfer, start, targets)
@@ -77,15 +77,6 @@ def compute_transfer_costs(
         cost[few], reachable[few], exact[few] = _compute_fuel(transfer, start[few], targets, b)
     cost[~reachable] = unreachable
     return TransferCosts(cost, reachable, exact)
-
-
-def _validate(T: int, start: Array, targets: Array) -> None:
-    if T == 0:
-        raise ValueError("a transfer needs at least one step")
-    for name, states in (("start", start), ("target", targets)):
-        if not np.isfinite(states).all():
-            k = int(np.flatnonzero(~np.isfinite(states).all(axis=1))[0])
-            raise ValueError(f"{name} {k} is not finite: {states[k]}")
 
 
 def _compute_fuel(

@@ -203,11 +203,6 @@ class CentralizedProblem:
             alone = [self.transfer.solve_without_limits(*ends)[:2] for ends in each]
             x, u = map(np.concatenate, zip(*alone, strict=True))
             guess = x, u
-        T, axes = len(self.transfer.model), self.transfer.model.axes
-        shapes = (len(start), T + 1, 2 * axes), (len(start), T, axes)
-        if tuple(map(np.shape, guess)) != shapes:
-            found = tuple(map(np.shape, guess))
-            raise ValueError(f"guess must be states and controls of shapes {shapes}, got {found}")
         pairs, pieces = _agent_pairs(len(start)), len(self.horizon.fine_model)
         everywhere = np.ones((len(pairs), pieces), dtype=bool)
         instants = SeparationConstraints.place(pairs, everywhere, self._instants_per_piece)
@@ -323,15 +318,6 @@ class CentralizedProblem:
         return ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
 
     def _check_ends(self, start: AgentStates, goal: AgentStates) -> None:
-        n = 2 * self.transfer.model.axes
-        if start.shape != (len(start), n) or start.shape != goal.shape:
-            raise ValueError(
-                f"start and goal must be arrays of states, {n} numbers a row and a row for each "
-                f"agent, got shapes {start.shape} and {goal.shape}"
-            )
-        for what, given in (("own_transfers", self.own_transfers), ("clearances", self.clearances)):
-            if given is not None and len(given) not in (0, len(start)):
-                raise ValueError(f"{what} has {len(given)} entries for {len(start)} agents")
         pairs, d = _agent_pairs(len(start)), self.transfer.model.axes
         clear = self._program.pair_clearances(pairs)
         for name, states in (("starts", start), ("goals", goal)):

@@ -53,7 +53,7 @@ def solve_minimum_fuel(
     steps: DiscreteModel,
     displacement: Float[Array, "programs n"],
     max_control: Annotated[Bound, Gt(0)],
-    weight: Float[Array, " T"],
+    weight: Annotated[Float[Array, " T"], Gt(0)],
     batches: Annotated[int, Ge(1)] = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:
     """Solve many transfers of least fuel without a speed limit.
@@ -76,7 +76,8 @@ def solve_minimum_fuel(
         Unsolved: The solution of HiGHS fails verification too.
     """
     T, count = len(steps), len(displacement)
-    _validate(T, displacement, max_control, weight)
+    if T == 0:
+        raise ValueError("a transfer needs at least one step")
     if steps.A.ndim > 3 or not (steps.is_double_integrator and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:
@@ -116,18 +117,6 @@ def _solve_by_simplex(
             u[own, :, inputs], can_reach = found
             is_reachable[own] &= can_reach
     return u, is_reachable
-
-
-def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) -> None:
-    if T == 0:
-        raise ValueError("a transfer needs at least one step")
-    if not (np.greater(max_control, 0) & np.isfinite(max_control)).all():
-        raise ValueError(f"max_control must be positive and finite, got {max_control}")
-    if weight.shape != (T,) or not (weight > 0).all():
-        raise ValueError(f"weight needs a positive weight for each of {T} steps, got {weight}")
-    if not np.isfinite(displacement).all():
-        q = int(np.flatnonzero(~np.isfinite(displacement).all(axis=1))[0])
-        raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
 
 
 @checked

@@ -15,6 +15,7 @@ from scipy.sparse import csc_array, triu
 
 from dynamics import DiscreteModel
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.model import ControlSamples, StateSamples
 from problems.conic import ConicProgram, ConicSolution, Infeasible, Unsolved
 from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
@@ -104,16 +105,9 @@ class TransferProblem:
         return {**self.model.array_sizes, "T": len(self.model), "instants": len(self.model) + 1}
 
     def __post_init__(self) -> None:
-        """Check the limits."""
-        control, speed = np.asarray(self.max_control), np.asarray(self.max_speed)
-        is_valid = {control.shape, speed.shape} <= {(), (self.model.axes,)}
-        is_valid = is_valid and bool(((control > 0) & (control < inf)).all())
-        if not (is_valid and (speed > 0).all() and (speed.ndim == 0 or (speed < inf).all())):
-            raise ValueError(
-                "max_control must be positive and finite and max_speed positive, each a number or "
-                f"one entry for each of {self.model.axes} axes, got "
-                f"max_control = {self.max_control} and max_speed = {self.max_speed}"
-            )
+        """Check that a speed limit of each axis is finite."""
+        if np.ndim(self.max_speed) and np.isinf(self.max_speed).any():
+            raise InputError("max_speed", f"must be finite on each axis, got {self.max_speed}")
 
     @cached_property
     def control_limit(self) -> Limit:
