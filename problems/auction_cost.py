@@ -140,13 +140,10 @@ def _compute_energy_costs(
     for i, x0 in enumerate(start):
         _, u, exact[i] = transfer.solve_without_limits(x0, targets)
         energy[i] = compute_energy(u, model.dt)
-    reachable, b = exact.copy(), compute_displacements(model, start, targets)
-    for i in range(len(start)):
-        # The box of r = ∞ contains the balls of the other norms.
-        found = solve_minimum_fuel(
-            model, b[i, ~exact[i]], transfer.max_control, np.ones(len(model))
-        )
-        reachable[i, ~exact[i]] = np.isfinite(found.fuel)
+    reachable, b = exact.copy(), compute_displacements(model, start, targets)[~exact]
+    # The box of r = ∞ contains the balls of the other norms.
+    found = solve_minimum_fuel(model, b, transfer.max_control, np.ones(len(model)), len(start))
+    reachable[~exact] = np.isfinite(found.fuel)
     # Twice the most energy.
     energy = np.where(reachable, energy, U * unreachable_cost(model, U))
     return TransferCosts(energy, reachable, exact | ~reachable)

@@ -279,7 +279,7 @@ class AvoidanceProblem:
         separation = np.hstack([*(-s * U * coeffs for s in signs), on_others])
         (linear, linear_rhs), (cones, cones_rhs) = self._limit_rows(free, limited, others)
 
-        A = _stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
+        A = stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
         bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
         bounds[count : 2 * count] = len(signs) == 1  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
@@ -366,7 +366,9 @@ def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
     return 4.0 ** floor(log(total, 4))  # the same for agents that move about as far
 
 
-def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
+def stack_with_bounds(
+    above: Float[Array, "first n"], count: int, below: Float[Array, "last n"]
+) -> csc_array:
     """Stack rows, x ≤ 1 for the first unknowns, x ≥ 0 for all, and rows, as a sparse matrix."""
     first, columns = above.shape
     own, last = np.arange(columns), first + count + columns
