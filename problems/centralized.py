@@ -118,9 +118,8 @@ class CentralizedProblem:
     @property
     def array_sizes(self) -> dict[str, Any]:
         """Sizes of the axes of states, controls, steps and, where they differ, agents."""
-        each = self.own_transfers or (() if self.clearances is None else self.clearances)
-        is_known = self.own_transfers or self.clearances is not None
-        return self.transfer.array_sizes | ({"agents": len(each)} if is_known else {})
+        agents = self.own_transfers or self.clearances
+        return self.transfer.array_sizes | ({} if agents is None else {"agents": len(agents)})
 
     @classmethod
     def from_model(

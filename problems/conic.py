@@ -240,12 +240,8 @@ class SolverResult(NamedTuple):
 
     status: Status
     message: str  # the solver's own
-    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = (
-        None  # a point; also where it stopped with one
-    )
-    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = (
-        None  # its duals, or the ray that certifies infeasibility
-    )
+    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = None  # also where it stopped with one
+    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = None  # duals, or a ray of infeasibility
     iterations: int | None = None
 
 

@@ -77,7 +77,8 @@ def solve(
     for _ in range(max_iterations):
         y = factor.solve(A @ (C - S - μ * X).ravel() + μ * b)
         W = C - (A.T @ y).reshape(2 * p, 2 * p) - μ * X
-        S = _project_psd(W)
+        λ, V = np.linalg.eigh((W + W.T) / 2)
+        S = (V * np.maximum(λ, 0)) @ V.T
         previous, X = X, (S - W) / μ
         trace_error = abs(X[p:, p:].trace() - p)
         change = np.abs(X - previous).sum()
@@ -128,11 +129,6 @@ def _dual_matrix(y: Array, problem: GainProblem) -> Array:
     Y = np.zeros(problem.graph.shape, dtype=problem.kernel.dtype)
     Y[i, j] = -(y[: len(i)] + 1j * y[len(i) :] if np.iscomplexobj(Y) else y)
     return Y + Y.conj().T
-
-
-def _project_psd(W: Array) -> Array:
-    λ, V = np.linalg.eigh((W + W.T) / 2)
-    return np.asarray((V * np.maximum(λ, 0)) @ V.T)
 
 
 def _to_real_blocks(Q: Array) -> Array:

@@ -25,6 +25,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
+from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
 from dynamics.doors import checked
@@ -133,13 +134,11 @@ def reachability_matrix(steps: DiscreteModel) -> Float[Array, "*agents n T m"]:
 def decouple_axes(steps: DiscreteModel) -> list[tuple[Int[Array, " s"], Int[Array, " i"]]]:
     """Find the groups of states and inputs that do not act on one another."""
     n, m = steps.B.shape[-2:]
-    are_joined = np.eye(n + m, dtype=bool)
-    are_joined[:n, :n] |= steps.A.reshape(-1, n, n).any(axis=0)
-    are_joined[:n, n:] |= steps.B.reshape(-1, n, m).any(axis=0)
-    are_joined |= are_joined.T
-    for _ in range((n + m).bit_length()):  # squared, until all paths are found
-        are_joined = are_joined @ are_joined
-    groups = [np.flatnonzero(row) for i, row in enumerate(are_joined) if not row[:i].any()]
+    act = np.zeros((n + m, n + m), dtype=bool)
+    act[:n, :n] = steps.A.reshape(-1, n, n).any(axis=0)
+    act[:n, n:] = steps.B.reshape(-1, n, m).any(axis=0)
+    count, label = connected_components(act, directed=False)
+    groups = [np.flatnonzero(label == k) for k in range(count)]
     return [(group[group < n], group[group >= n] - n) for group in groups]
 
 

@@ -47,9 +47,8 @@ def separation_violation(relative: ControlPoints, radius: Separation) -> float:
 
 
 def _per_piece(radius: Separation, shape: tuple[int, ...]) -> Array:
-    found = np.empty(shape)
-    found[...] = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
-    return found
+    each = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
+    return np.broadcast_to(each, shape)
 
 
 def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:

@@ -225,22 +225,6 @@ class TransferProblem:
         if len(self.model) == 0:
             raise ValueError("a transfer needs at least one step")
 
-    def require_uniform_limits(self, what: str) -> None:
-        """Check that norms are the usual ones, and limits the same on all axes.
-
-        Args:
-            what: Name of the program that has no others.
-
-        Raises:
-            ValueError: They are not.
-        """
-        norms = self.fuel_norm, self.control_norm, self.speed_norm
-        if norms != (1, "inf", 2) or np.ndim(self.max_control) or np.ndim(self.max_speed):
-            raise ValueError(
-                f'{what} has fuel_norm 1, control_norm "inf", speed_norm 2 and limits that are '
-                f"numbers, got {norms} with {self.max_control} and {self.max_speed}"
-            )
-
     def solve(
         self, start: Float[Array, " n"], target: Float[Array, " n"], solver: Solver = solve_program
     ) -> Trajectory:
