@@ -9,7 +9,6 @@ thread-safe: use processes.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from math import ceil, inf
 from typing import Annotated, Any
 
@@ -221,19 +220,15 @@ class CentralizedProblem:
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
         each = [self._program.transfer_of(i) for i in range(len(x))]
-        thrust, speed = (
-            max(float(limit.measure(part).max(initial=0.0)) / limit.most for limit, part in sides)
-            for sides in (
-                zip([own.control_limit for own in each], u, strict=True),
-                zip([own.speed_limit for own in each], x[:, 1:-1, d:], strict=True),
-            )
-        )
+        thrust = max(own.control_limit.excess(part) for own, part in zip(each, u, strict=True))
+        speeds = zip(each, x[:, 1:-1, d:], strict=True)
+        speed = max(own.speed_limit.excess(part) for own, part in speeds)
         distance, _ = self._closest_approaches(x, u)
         apart = float((distance / self._clearances_of(len(x))).min(initial=PROXIMITY_FACTOR))
         is_fuel, dt, norm = transfer.objective == "fuel", transfer.model.dt, transfer.fuel_norm
         cost = float(np.sum(compute_fuel(u, dt, norm) if is_fuel else compute_energy(u, dt)))
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
-        return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
+        return SimulatedSolution(x, u, cost, error, thrust, speed, apart, solver_message)
 
     def count_conflicts(self, x: Float[Array, "agents instants n"], u: AgentControls) -> int:
         """Count the pairs that come too close on given trajectories.
@@ -344,4 +339,4 @@ def _shared_by_agents(transfer: TransferProblem) -> tuple[object, ...]:
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:
-    return np.array(list(combinations(range(count), 2)), dtype=int).reshape(-1, 2)
+    return np.stack(np.triu_indices(count, 1), axis=1)

@@ -170,8 +170,7 @@ class TransferProblem:
 
     def speed_excess(self, trajectory: "Trajectory") -> float:
         """Compute the relative excess of the largest speed between the ends over its limit."""
-        speed = self.speed_limit.measure(trajectory.x[1:-1, self.model.axes :])
-        return float(speed.max(initial=0.0)) / self.speed_limit.most - 1
+        return self.speed_limit.excess(trajectory.x[1:-1, self.model.axes :])
 
     @property
     def is_linear(self) -> bool:
