@@ -147,8 +147,11 @@ class AvoidanceProblem:
         return replace(self, transfer=self.transfer.slow_down(factor))
 
     def _solve_conic(self, relaxation: Relaxation) -> AvoidanceResult:
-        if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
-            return AvoidanceResult(free, 0.0, 0.0)
+        if self.transfer.objective == "energy":
+            ends = self.start, self.goal[None]
+            (x,), (u,), (keeps_limits,) = self.transfer.solve_without_limits(*ends)
+            if keeps_limits and self.half_spaces.violation(x, u).max(initial=0.0) <= 0:
+                return AvoidanceResult(self.transfer.simulate(self.start, u), 0.0, 0.0)
         (found,) = solve_condensed([self], lambda own: self.assemble_conic(relaxation, own[0]))
         return self._make_result(found)
 
@@ -184,15 +187,6 @@ class AvoidanceProblem:
         terminal_error = float(np.abs(found.x[-1] - self.goal).max())
         slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
         return AvoidanceResult(found, terminal_error, slack)
-
-    def _solve_without_limits(self) -> Trajectory | None:
-        """Return the trajectory of least energy where it happens to satisfy all constraints."""
-        (x,), (u,), (keeps_limits,) = self.transfer.solve_without_limits(
-            self.start, self.goal[None]
-        )
-        if not keeps_limits or self.half_spaces.violation(x, u).max(initial=0.0) > 0:
-            return None
-        return self.transfer.simulate(self.start, u)
 
     @property
     def _penalty(self) -> float:
