@@ -1,7 +1,7 @@
 """Alignment of a shape with measured points, in closed form, and the distance that remains."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.inputs import InputError
+from dynamics.vehicle import rotate_by_yaw
 
 
 @checked
@@ -21,8 +22,8 @@ class Pose:
 
     def transform(self, points: Float[Array, "*#swarm k 3"]) -> Float[Array, "*swarm k 3"]:
         """Apply the pose to points [m]."""
-        placed: Array = _rotate(points, np.asarray(self.yaw)) + self.translation[..., None, :]
-        return placed
+        turned = rotate_by_yaw(points, np.asarray(self.yaw)[..., None])
+        return np.asarray(turned + self.translation[..., None, :])
 
 
 @checked
@@ -65,9 +66,10 @@ def align(
         raise InputError("measured", "must be finite where the mask is True")
     inner = (s.conj() * w).sum(axis=-1)
     # Below this, the inner product is rounding of large coordinates and has no direction.
-    rounding = 8 * np.finfo(float).eps * (_norm(p) * _norm(w) + _norm(s) * _norm(q))
+    sizes = [np.linalg.norm(z, axis=-1) for z in (p, w, s, q)]
+    rounding = 8 * np.finfo(float).eps * (sizes[0] * sizes[1] + sizes[2] * sizes[3])
     yaw = np.where(np.abs(inner) > rounding, np.angle(inner), 0.0)
-    return Pose(yaw, (about_q - _rotate(about_p, yaw))[..., 0, :])
+    return Pose(yaw, (about_q - rotate_by_yaw(about_p, yaw[..., None]))[..., 0, :])
 
 
 class ShapeError(NamedTuple):
@@ -106,23 +108,9 @@ def _rms_error(position: Array, points: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
 
 
-def _rotate(points: Array, yaw: Array) -> Array:
-    c, s = np.cos(yaw)[..., None], np.sin(yaw)[..., None]
-    x, y, z = np.moveaxis(points, -1, 0)
-    return np.stack(np.broadcast_arrays(c * x - s * y, s * x + c * y, z), axis=-1)
-
-
 def _center(points: Array, mask: Array) -> tuple[Array, Array, Array]:
     # Horizontal parts, the same about their mean, and the mean, (…, 1, 3).
     used = np.where(mask[..., None], points, 0.0)
     mean = used.sum(axis=-2, keepdims=True) / mask.sum(axis=-1)[..., None, None]
-    return _to_complex(used), mask * _to_complex(used - mean), mean
-
-
-def _to_complex(points: Array) -> Array:
-    flat: Array = points[..., 0] + 1j * points[..., 1]
-    return flat
-
-
-def _norm(z: Array) -> Any:
-    return np.linalg.norm(z, axis=-1)
+    flat, centered = (part[..., 0] + 1j * part[..., 1] for part in (used, used - mean))
+    return flat, mask * centered, mean

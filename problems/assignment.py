@@ -27,8 +27,6 @@ def solve_assignment(
     Raises:
         ValueError: A cost is not finite, or there are fewer targets than agents.
     """
-    if cost.ndim != 2:
-        raise ValueError(f"cost must have two axes, agents and targets, got {cost.ndim}")
     agents, targets = cost.shape
     if agents > targets:
         raise ValueError(

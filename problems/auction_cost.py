@@ -57,7 +57,7 @@ def compute_transfer_costs(
         ValueError: A state is not finite, or no step is left.
     """
     steps, shape = transfer.model, (len(start), len(targets))
-    _validate(len(steps), start, targets)
+    transfer.require_steps()
     unreachable = unreachable_cost(steps, transfer.control_limit.most)
     if transfer.objective == "energy":
         return _compute_energy_costs(transfer, start, targets)
@@ -77,15 +77,6 @@ def compute_transfer_costs(
         cost[few], reachable[few], exact[few] = _compute_fuel(transfer, start[few], targets, b)
     cost[~reachable] = unreachable
     return TransferCosts(cost, reachable, exact)
-
-
-def _validate(T: int, start: Array, targets: Array) -> None:
-    if T == 0:
-        raise ValueError("a transfer needs at least one step")
-    for name, states in (("start", start), ("target", targets)):
-        if not np.isfinite(states).all():
-            k = int(np.flatnonzero(~np.isfinite(states).all(axis=1))[0])
-            raise ValueError(f"{name} {k} is not finite: {states[k]}")
 
 
 def _compute_fuel(
@@ -149,13 +140,10 @@ def _compute_energy_costs(
     for i, x0 in enumerate(start):
         _, u, exact[i] = transfer.solve_without_limits(x0, targets)
         energy[i] = compute_energy(u, model.dt)
-    reachable, b = exact.copy(), compute_displacements(model, start, targets)
-    for i in range(len(start)):
-        # The box of r = ∞ contains the balls of the other norms.
-        found = solve_minimum_fuel(
-            model, b[i, ~exact[i]], transfer.max_control, np.ones(len(model))
-        )
-        reachable[i, ~exact[i]] = np.isfinite(found.fuel)
+    reachable, b = exact.copy(), compute_displacements(model, start, targets)[~exact]
+    # The box of r = ∞ contains the balls of the other norms.
+    found = solve_minimum_fuel(model, b, transfer.max_control, np.ones(len(model)), len(start))
+    reachable[~exact] = np.isfinite(found.fuel)
     # Twice the most energy.
     energy = np.where(reachable, energy, U * unreachable_cost(model, U))
     return TransferCosts(energy, reachable, exact | ~reachable)

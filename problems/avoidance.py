@@ -147,8 +147,11 @@ class AvoidanceProblem:
         return replace(self, transfer=self.transfer.slow_down(factor))
 
     def _solve_conic(self, relaxation: Relaxation) -> AvoidanceResult:
-        if self.transfer.objective == "energy" and (free := self._solve_without_limits()):
-            return AvoidanceResult(free, 0.0, 0.0)
+        if self.transfer.objective == "energy":
+            ends = self.start, self.goal[None]
+            (x,), (u,), (keeps_limits,) = self.transfer.solve_without_limits(*ends)
+            if keeps_limits and self.half_spaces.violation(x, u).max(initial=0.0) <= 0:
+                return AvoidanceResult(self.transfer.simulate(self.start, u), 0.0, 0.0)
         (found,) = solve_condensed([self], lambda own: self.assemble_conic(relaxation, own[0]))
         return self._make_result(found)
 
@@ -184,15 +187,6 @@ class AvoidanceProblem:
         terminal_error = float(np.abs(found.x[-1] - self.goal).max())
         slack = float(self.half_spaces.violation(found.x, found.u).max(initial=0.0))
         return AvoidanceResult(found, terminal_error, slack)
-
-    def _solve_without_limits(self) -> Trajectory | None:
-        """Return the trajectory of least energy where it happens to satisfy all constraints."""
-        (x,), (u,), (keeps_limits,) = self.transfer.solve_without_limits(
-            self.start, self.goal[None]
-        )
-        if not keeps_limits or self.half_spaces.violation(x, u).max(initial=0.0) > 0:
-            return None
-        return self.transfer.simulate(self.start, u)
 
     @property
     def _penalty(self) -> float:
@@ -279,7 +273,7 @@ class AvoidanceProblem:
         separation = np.hstack([*(-s * U * coeffs for s in signs), on_others])
         (linear, linear_rhs), (cones, cones_rhs) = self._limit_rows(free, limited, others)
 
-        A = _stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
+        A = stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
         bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
         bounds[count : 2 * count] = len(signs) == 1  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
@@ -366,7 +360,9 @@ def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
     return 4.0 ** floor(log(total, 4))  # the same for agents that move about as far
 
 
-def _stack_with_bounds(above: Array, count: int, below: Array) -> csc_array:
+def stack_with_bounds(
+    above: Float[Array, "first n"], count: int, below: Float[Array, "last n"]
+) -> csc_array:
     """Stack rows, x ≤ 1 for the first unknowns, x ≥ 0 for all, and rows, as a sparse matrix."""
     first, columns = above.shape
     own, last = np.arange(columns), first + count + columns

@@ -9,7 +9,6 @@ thread-safe: use processes.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from math import ceil, inf
 from typing import Annotated, Any
 
@@ -118,9 +117,8 @@ class CentralizedProblem:
     @property
     def array_sizes(self) -> dict[str, Any]:
         """Sizes of the axes of states, controls, steps and, where they differ, agents."""
-        each = self.own_transfers or (() if self.clearances is None else self.clearances)
-        is_known = self.own_transfers or self.clearances is not None
-        return self.transfer.array_sizes | ({"agents": len(each)} if is_known else {})
+        agents = self.own_transfers or self.clearances
+        return self.transfer.array_sizes | ({} if agents is None else {"agents": len(agents)})
 
     @classmethod
     def from_model(
@@ -203,11 +201,6 @@ class CentralizedProblem:
             alone = [self.transfer.solve_without_limits(*ends)[:2] for ends in each]
             x, u = map(np.concatenate, zip(*alone, strict=True))
             guess = x, u
-        T, axes = len(self.transfer.model), self.transfer.model.axes
-        shapes = (len(start), T + 1, 2 * axes), (len(start), T, axes)
-        if tuple(map(np.shape, guess)) != shapes:
-            found = tuple(map(np.shape, guess))
-            raise ValueError(f"guess must be states and controls of shapes {shapes}, got {found}")
         pairs, pieces = _agent_pairs(len(start)), len(self.horizon.fine_model)
         everywhere = np.ones((len(pairs), pieces), dtype=bool)
         instants = SeparationConstraints.place(pairs, everywhere, self._instants_per_piece)
@@ -227,19 +220,15 @@ class CentralizedProblem:
         transfer, d = self.transfer, self.transfer.model.axes
         x = transfer.model.simulate(start, u)
         each = [self._program.transfer_of(i) for i in range(len(x))]
-        thrust, speed = (
-            max(float(limit.measure(part).max(initial=0.0)) / limit.most for limit, part in sides)
-            for sides in (
-                zip([own.control_limit for own in each], u, strict=True),
-                zip([own.speed_limit for own in each], x[:, 1:-1, d:], strict=True),
-            )
-        )
+        thrust = max(own.control_limit.excess(part) for own, part in zip(each, u, strict=True))
+        speeds = zip(each, x[:, 1:-1, d:], strict=True)
+        speed = max(own.speed_limit.excess(part) for own, part in speeds)
         distance, _ = self._closest_approaches(x, u)
         apart = float((distance / self._clearances_of(len(x))).min(initial=PROXIMITY_FACTOR))
         is_fuel, dt, norm = transfer.objective == "fuel", transfer.model.dt, transfer.fuel_norm
         cost = float(np.sum(compute_fuel(u, dt, norm) if is_fuel else compute_energy(u, dt)))
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
-        return SimulatedSolution(x, u, cost, error, thrust - 1, speed - 1, apart, solver_message)
+        return SimulatedSolution(x, u, cost, error, thrust, speed, apart, solver_message)
 
     def count_conflicts(self, x: Float[Array, "agents instants n"], u: AgentControls) -> int:
         """Count the pairs that come too close on given trajectories.
@@ -323,15 +312,6 @@ class CentralizedProblem:
         return ceil(CONSTRAINTS_PER_STEP / self.horizon.pieces_per_step)
 
     def _check_ends(self, start: AgentStates, goal: AgentStates) -> None:
-        n = 2 * self.transfer.model.axes
-        if start.shape != (len(start), n) or start.shape != goal.shape:
-            raise ValueError(
-                f"start and goal must be arrays of states, {n} numbers a row and a row for each "
-                f"agent, got shapes {start.shape} and {goal.shape}"
-            )
-        for what, given in (("own_transfers", self.own_transfers), ("clearances", self.clearances)):
-            if given is not None and len(given) not in (0, len(start)):
-                raise ValueError(f"{what} has {len(given)} entries for {len(start)} agents")
         pairs, d = _agent_pairs(len(start)), self.transfer.model.axes
         clear = self._program.pair_clearances(pairs)
         for name, states in (("starts", start), ("goals", goal)):
@@ -359,4 +339,4 @@ def _shared_by_agents(transfer: TransferProblem) -> tuple[object, ...]:
 
 
 def _agent_pairs(count: int) -> Int[Array, "pairs 2"]:
-    return np.array(list(combinations(range(count), 2)), dtype=int).reshape(-1, 2)
+    return np.stack(np.triu_indices(count, 1), axis=1)

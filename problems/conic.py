@@ -57,8 +57,8 @@ class ConicProgram:
     b: Float[Array, " m"]
     zero: Annotated[int, Ge(0)]
     nonnegative: Annotated[int, Ge(0)]
-    soc_sizes: tuple[int, ...] = ()
-    psd_orders: tuple[int, ...] = ()
+    soc_sizes: tuple[Annotated[int, Ge(1)], ...] = ()
+    psd_orders: tuple[Annotated[int, Ge(1)], ...] = ()
     P: csc_array | None = None
 
     def __post_init__(self) -> None:
@@ -66,19 +66,14 @@ class ConicProgram:
         object.__setattr__(self, "A", _canonical(self.A))
         if self.P is not None:
             object.__setattr__(self, "P", _canonical(self.P))
-        if min(self.zero, self.nonnegative, 0) or min((*self.soc_sizes, *self.psd_orders, 1)) < 1:
-            raise ValueError(
-                "no count may be negative, and every cone needs at least one row, got "
-                f"zero = {self.zero}, nonnegative = {self.nonnegative}, "
-                f"soc_sizes = {self.soc_sizes} and psd_orders = {self.psd_orders}"
-            )
         rows = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1].stop
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
             raise ValueError(
                 f"the cones have {rows} rows and the cost {len(self.q)} columns, "
                 f"but A is {self.A.shape} and b has {len(self.b)}"
             )
-        for name, numbers in (("q", self.q), ("A", self.A.data), ("b", self.b)):
+        curvature = np.zeros(0) if self.P is None else self.P.data
+        for name, numbers in (("q", self.q), ("A", self.A.data), ("b", self.b), ("P", curvature)):
             if not np.isfinite(numbers).all():
                 raise ValueError(f"{name} must be finite: leave out the row that is not wanted")
         if self.P is not None:
@@ -204,8 +199,6 @@ def _check_convex(P: csc_array, n: int) -> None:
             f"P must be an upper triangle, {n} × {n}, got {P.shape} "
             f"with {tril(P, -1).nnz} entries below the diagonal"
         )
-    if not np.isfinite(P.data).all():
-        raise ValueError("P must be finite")
     diagonal = P.diagonal()
     if np.count_nonzero(P.data) == np.count_nonzero(diagonal):
         least = float(diagonal.min(initial=0.0))
@@ -247,12 +240,8 @@ class SolverResult(NamedTuple):
 
     status: Status
     message: str  # the solver's own
-    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = (
-        None  # a point; also where it stopped with one
-    )
-    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = (
-        None  # its duals, or the ray that certifies infeasibility
-    )
+    x: Annotated[Float[Array, " n"] | None, ANY_NUMBER] = None  # also where it stopped with one
+    y: Annotated[Float[Array, " m"] | None, ANY_NUMBER] = None  # duals, or a ray of infeasibility
     iterations: int | None = None
 
 

@@ -97,7 +97,7 @@ def generate_constraints(
     for k, state, penalty in goals:
         some = penalty > 0
         error = (free[k] - state)[some]
-        program.add_equations(response[k][some], error, penalty[some] / unit)
+        program.add(response[k][some], error, penalty[some] / unit)
     known, is_confirmed = np.zeros(len(spaces.rhs), dtype=bool), False
     for _ in range(MAX_ROUNDS):
         status = program.confirm() if is_confirmed else program.solve()
@@ -121,13 +121,13 @@ def generate_constraints(
         if new.any():
             known |= new
             coeffs, rhs = spaces.select(new).condense(transfer, free)
-            program.add_inequalities(coeffs * limit.most, rhs, is_relaxed=slack_penalty < inf)
+            program.add(coeffs * limit.most, rhs, is_relaxed=slack_penalty < inf)
         if len(fast):
             rows, most, at = _list_tangents(transfer.speed_limit, x[fast, axes:], fast)
             slower = -np.einsum("km,kmj->kj", rows, response[at, axes:])
             room = SPEED_ROOM * most + 3 * REFRESHED_TOLERANCE * np.linalg.norm(slower, axis=1)
             offset = most - np.einsum("km,km->k", rows, free[at, axes:]) - room
-            program.add_inequalities(slower, offset, room=room)
+            program.add(slower, offset, room=room)
     raise Unsolved(transfer, f"no answer within {program.pivot_count} pivots")
 
 

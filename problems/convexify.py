@@ -20,7 +20,7 @@ from dynamics.doors import checked
 from dynamics.inputs import InputError
 from dynamics.model import ControlSamples, StateSamples
 from dynamics.trajectory_geometry import hull_distance
-from problems.half_spaces import HalfSpaces, separate_points
+from problems.half_spaces import HalfSpaces
 from problems.path_separation import Separation
 
 PassingSide = Literal["same", "opposite", "above", "below", "nominal"]
@@ -172,7 +172,7 @@ def convexify(
     normal: Float[Array, "others pieces d"],
     separation: Separation | None = None,
 ) -> HalfSpaces:
-    """Constrain n·(c − c̄) ≥ R for every movable control point c [Morgan2016, eq. 64].
+    """Constrain n·(P x + Q u + r − c̄) ≥ R for every movable control point [Morgan2016, eq. 64].
 
     Args:
         horizon: Avoidance horizon and its pieces.
@@ -180,15 +180,28 @@ def convexify(
         others: Control points c̄ of the other agents [m].
         normal: Unit normals n of the half-spaces, see `choose_normals`.
         separation: Required distances; that of the horizon by default.
+
+    Raises:
+        InputError: There are fewer pieces than the steps have.
     """
     P, Q, r = (part[:T] for part in horizon.control_point_maps)
     required = horizon.required_separation if separation is None else separation
-    return separate_points(
-        (P, Q, r),
-        np.ascontiguousarray(normal),
-        np.ascontiguousarray(others),
-        np.full(len(others), required, dtype=float),
-    )
+    T, S, _, d, n = P.shape
+    pieces, count = T * S, len(others)
+    if normal.shape[1] < pieces:
+        raise InputError("normal", f"must have {pieces} pieces, got {normal.shape[1]}")
+    movable = np.any(Q != 0, axis=(3, 4))
+    movable[1:] = True
+    each, normal = movable.ravel(), np.ascontiguousarray(normal)[:, :pieces]
+    away = np.ascontiguousarray(others)[:, :pieces] - r.reshape(pieces, 4, d)
+    rhs = np.full(count, required, dtype=float)[:, None, None]
+    rhs = rhs + np.einsum("opd,opid->opi", normal, away)
+    along = np.repeat(normal, 4, axis=1)[:, each]
+    on_x = np.einsum("ord,rdn->orn", along, P.reshape(-1, d, n)[each])
+    on_u = np.einsum("ord,rdm->orm", along, Q.reshape(-1, d, d)[each])
+    step = np.tile(np.repeat(np.arange(T), 4 * S)[each], count)
+    rhs = rhs.reshape(count, 4 * pieces)[:, each].ravel()
+    return HalfSpaces(step, on_x.reshape(-1, n), on_u.reshape(-1, d), rhs)
 
 
 def convexify_end(

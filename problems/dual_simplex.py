@@ -209,13 +209,8 @@ def _sift_down(step, kink, i, count):
 @no_type_check
 def _refactorize(d):
     # Recomputes all from rows, basis and signs; False where the basis is singular.
-    (m, n), rows, inverse, basis, sign = (
-        d.rows.shape,
-        d.rows,
-        d.basis_inverse,
-        d.basis,
-        d.basic_sign,
-    )
+    (m, n), rows, inverse = d.rows.shape, d.rows, d.basis_inverse
+    basis, sign = d.basis, d.basic_sign
     for a in range(m):
         for i in range(m):
             inverse[a, i] = 1.0 if a == i else 0.0

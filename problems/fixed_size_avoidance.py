@@ -40,8 +40,14 @@ class FixedSizeAvoidanceProblem:
 
     def __post_init__(self) -> None:
         """Refuse other norms and time-varying matrices."""
-        self.transfer.require_uniform_limits("compiled code")
-        model = self.transfer.model
+        transfer, model = self.transfer, self.transfer.model
+        norms = transfer.fuel_norm, transfer.control_norm, transfer.speed_norm
+        limits = transfer.max_control, transfer.max_speed
+        if norms != (1, "inf", 2) or any(map(np.ndim, limits)):
+            raise ValueError(
+                'compiled code has fuel_norm 1, control_norm "inf", speed_norm 2 and limits that '
+                f"are numbers, got {norms} with {limits[0]} and {limits[1]}"
+            )
         if any(np.ptp(matrices, axis=0).any() for matrices in (model.A, model.B, model.z)):
             raise ValueError("compiled code has matrices that are the same at every step")
 

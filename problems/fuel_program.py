@@ -58,39 +58,25 @@ class FuelProgram:
         self._ray = np.zeros(n)  # of prices, along which the dual was found unbounded
         self.pivot_count = 0
 
-    def add_equations(
-        self, coeffs: Float[Array, "k n"], offset: Float[Array, " k"], penalty: Float[Array, " k"]
-    ) -> None:
-        """Add rows coeffs · u + offset = 0, with the penalties of their errors."""
-        self._add(coeffs, offset, [-FAR, 0.0, 0.0, FAR, FAR], penalty)
-
-    def add_inequalities(
+    def add(
         self,
         coeffs: Float[Array, "k n"],
         offset: Float[Array, " k"],
+        penalty: Float[Array, " k"] | None = None,
         is_relaxed: bool = False,
         room: float | Float[Array, " k"] = 0.0,
     ) -> None:
-        """Add rows coeffs · u + offset ≥ 0.
+        """Add rows coeffs · u + offset ≥ 0, or = 0.
 
         Args:
             coeffs: Entries of each row.
             offset: Constant of each row.
-            is_relaxed: True where rows may be violated by σ.
+            penalty: Of the error of each equation; None for inequalities.
+            is_relaxed: True where inequalities may be violated by σ.
             room: Margin that was subtracted from each offset.
         """
-        never = np.full(len(coeffs), inf)
-        self._add(coeffs, offset, [-FAR, 0.0, FAR, FAR, FAR], never, is_relaxed, room)
-
-    def _add(
-        self,
-        coeffs: Float[Array, "k n"],
-        offset: Float[Array, " k"],
-        kinks: list[float],
-        penalty: Float[Array, " k"],
-        is_relaxed: bool = False,
-        room: float | Float[Array, " k"] = 0.0,
-    ) -> None:
+        kinks = [-FAR, 0.0, FAR if penalty is None else 0.0, FAR, FAR]
+        penalty = np.full(len(coeffs), inf) if penalty is None else penalty
         first, room = len(self._basic), np.full(len(offset), room, dtype=float)
         for name in BY_ROW:
             self._extend(name, len(offset))

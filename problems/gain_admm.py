@@ -5,7 +5,6 @@ from jaxtyping import Inexact
 from numpy import ndarray as Array
 
 from problems.gain_problem import MIN_RATE, GainProblem, GainSolution
-from problems.hermitian_eigenvalues import eigh
 
 RATE_TOLERANCE = 5e-4  # between the rate and its bound, relative
 MAX_ITERATIONS = 3000
@@ -160,7 +159,7 @@ def _to_real_vector(M: Array) -> Array:
 def _prox_least_eigenvalue(problem: GainProblem, W: Array, strength: float) -> Array:
     # argmin of −λ_min(X) + ‖X − W‖² / (2 ρ): fill the spectrum from below, as water a basin.
     m = problem.m
-    λ, V = eigh(problem.shift_kernel(W))
+    λ, V = np.linalg.eigh(problem.shift_kernel(W))
     levels = (np.cumsum(λ[:m]) + strength) / np.arange(1, m + 1)
     count = int(np.count_nonzero(levels > λ[:m]))
     raised = V[:, :count] * (levels[count - 1] - λ[:count])

@@ -15,6 +15,7 @@ from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
 RESIDUAL_TOLERANCE = 1e-8  # relative; gains with larger residuals are of another formation
+Residuals = tuple[float, float, float]  # of the kernel, the graph and the structure
 # Errors of numpy and zipfile for other files, and for damaged ones.
 READ_ERRORS = (ValueError, TypeError, LookupError, EOFError, OSError, RuntimeError, BadZipFile)
 
@@ -133,19 +134,22 @@ class GainMatrix:
     @property
     def residual_kernel(self) -> float:
         """Largest speed of an agent in the desired formation [m/s]."""
-        xy = _kernel_residual(self.formation, "xy", self.xy)
-        return max(xy, _kernel_residual(self.formation, "z", self.z))
+        return self._residuals[0]
 
     @property
     def residual_structure(self) -> float:
         """Largest entry of A − Aᴴ and of the row sums [1/s]."""
-        return max(_structure_residual(self.xy), _structure_residual(self.z))
+        return self._residuals[2]
 
     @property
     def residual_graph(self) -> float:
         """Largest entry at a non-edge [1/s]."""
-        formation = self.formation
-        return max(_graph_residual(formation, self.xy), _graph_residual(formation, self.z))
+        return self._residuals[1]
+
+    @property
+    def _residuals(self) -> Residuals:
+        xy, z = _residuals(self.formation, "xy", self.xy), _residuals(self.formation, "z", self.z)
+        return max(xy[0], z[0]), max(xy[1], z[1]), max(xy[2], z[2])
 
     def matches_formation(self, formation: DesiredFormation) -> bool:
         """Return True where the gains were designed for these points and this graph."""
@@ -188,23 +192,18 @@ class GainMatrix:
             raise ValueError(f"{path} cannot be read as gains: {error}") from error
 
 
-def _kernel_residual(formation: DesiredFormation, axes: Axes, A: Array) -> float:
+def _residuals(formation: DesiredFormation, axes: Axes, A: Array) -> Residuals:
+    """Compute the residuals of the kernel, of the graph and of the structure."""
     # Kernel columns about the center, because agents measure differences only.
     n = len(formation.points)
     columns = np.ones((n, 1))
     if axes == "xy" or not formation.is_flat:
         column = formation.planar_points if axes == "xy" else formation.points[:, 2]
         columns = np.stack([column - column.mean(), np.ones(n)], axis=1)
-    return float(np.abs(A @ columns).max())
-
-
-def _structure_residual(A: Array) -> float:
-    return float(max(np.abs(A - A.conj().T).max(), np.abs(A.sum(axis=1)).max()))
-
-
-def _graph_residual(formation: DesiredFormation, A: Array) -> float:
-    absent = ~formation.graph & ~np.eye(len(A), dtype=bool)
-    return float(np.abs(A[absent]).max(initial=0.0))
+    absent = ~formation.graph & ~np.eye(n, dtype=bool)
+    structure = max(np.abs(A - A.conj().T).max(), np.abs(A.sum(axis=1)).max())
+    drift, at_non_edges = np.abs(A @ columns).max(), np.abs(A[absent]).max(initial=0.0)
+    return float(drift), float(at_non_edges), float(structure)
 
 
 def validate_rate(axes: Axes, rate: float, bound: float) -> None:
@@ -232,12 +231,12 @@ def validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
         raise ValueError(f"the gains for {axes} must be finite numbers")
     if (A == 0).all():
         raise ValueError(f"the gains for {axes} must not all be 0")
-    drift, size = _kernel_residual(formation, axes, A), float(np.abs(A).max())
+    (drift, at_non_edges, structure), size = _residuals(formation, axes, A), float(np.abs(A).max())
     extent = max(1.0, float(np.ptp(formation.points, axis=0).max()))
     for residual, fault in (
         (drift / extent, f"move the desired formation by {drift:.1e} m/s"),
-        (_graph_residual(formation, A), "are not zero at the non-edges of its graph"),
-        (_structure_residual(A), "are not symmetric, or have rows that do not sum to 0"),
+        (at_non_edges, "are not zero at the non-edges of its graph"),
+        (structure, "are not symmetric, or have rows that do not sum to 0"),
     ):
         if residual > RESIDUAL_TOLERANCE * max(1.0, size):
             raise ValueError(f"the gains for {axes} do not belong to this formation: they {fault}")

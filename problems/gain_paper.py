@@ -1,22 +1,26 @@
 """Formation gains by the method of the paper, for comparison [Lusk2020, eq. 8 to 10]."""
 
 from functools import partial
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 from numpy import ndarray as Array
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array, eye_array, vstack
 from scipy.sparse.linalg import splu
 
+from dynamics.doors import checked
 from problems.gain_problem import GainProblem, GainSolution
 
 ADMM_PENALTY = 1.0  # μ, as in the paper's code
 REGULARIZATION = 1e-12  # makes the normal equations definite where constraints are redundant
 
 
+@checked
 def solve(
     problem: GainProblem,
-    max_iterations: int = 10,
+    max_iterations: Annotated[int, Ge(1)] = 10,
     trace_tolerance: float = 0.1,
     change_tolerance: float = 1e-4,
 ) -> GainSolution:
@@ -55,11 +59,8 @@ def solve(
         L = Q Z Qᴴ, projected, and the dual variables y of the non-edges as a matrix Y.
 
     Raises:
-        ValueError: `max_iterations` is less than 1.
         NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
     """
-    if max_iterations < 1:
-        raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
     _ = problem.trace_direction  # raises where only matrices of trace 0 are left
     Q = _to_real_blocks(problem.complement)
     p = Q.shape[1]
@@ -76,7 +77,8 @@ def solve(
     for _ in range(max_iterations):
         y = factor.solve(A @ (C - S - μ * X).ravel() + μ * b)
         W = C - (A.T @ y).reshape(2 * p, 2 * p) - μ * X
-        S = _project_psd(W)
+        λ, V = np.linalg.eigh((W + W.T) / 2)
+        S = (V * np.maximum(λ, 0)) @ V.T
         previous, X = X, (S - W) / μ
         trace_error = abs(X[p:, p:].trace() - p)
         change = np.abs(X - previous).sum()
@@ -127,11 +129,6 @@ def _dual_matrix(y: Array, problem: GainProblem) -> Array:
     Y = np.zeros(problem.graph.shape, dtype=problem.kernel.dtype)
     Y[i, j] = -(y[: len(i)] + 1j * y[len(i) :] if np.iscomplexobj(Y) else y)
     return Y + Y.conj().T
-
-
-def _project_psd(W: Array) -> Array:
-    λ, V = np.linalg.eigh((W + W.T) / 2)
-    return np.asarray((V * np.maximum(λ, 0)) @ V.T)
 
 
 def _to_real_blocks(Q: Array) -> Array:

@@ -1,18 +1,16 @@
 """Design problem of formation gains along one axis group: constraints, rate and dual bound."""
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Annotated, Literal, NamedTuple
+from functools import cache, cached_property, partial
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Inexact
 from numpy import ndarray as Array
-from scipy.linalg import cho_factor, null_space
-from scipy.linalg.lapack import dpotrs
+from scipy.linalg import cho_factor, lapack, null_space
 
 from dynamics.doors import ANY_NUMBER, checked
 from problems.desired_formation import DesiredFormation
-from problems.hermitian_eigenvalues import least_eigenvalue
 
 Axes = Literal["xy", "z"]  # horizontal (complex) or vertical (real) gains
 
@@ -118,7 +116,7 @@ class GainProblem:
 
     def convergence_rate(self, L: Inexact[Array, "n n"]) -> float:
         """Compute the least eigenvalue of L on the complement of the kernel."""
-        return least_eigenvalue(self.shift_kernel(L))
+        return _least_eigenvalue(self.shift_kernel(L))
 
     def rate_bound(self, Y: Annotated[Inexact[Array, "n n"], ANY_NUMBER]) -> float:
         """Compute a rate that no feasible L exceeds, from any Hermitian Y on the non-edges.
@@ -191,7 +189,7 @@ class GainProblem:
         planar = np.iscomplexobj(residual)
         parts = np.stack([residual.real, residual.imag]) if planar else residual[None]
         factor, lower = self._normal_factor
-        X = dpotrs(factor, parts.ravel(), lower=lower)[0].reshape(parts.shape)
+        X = lapack.dpotrs(factor, parts.ravel(), lower=lower)[0].reshape(parts.shape)
         return np.asarray(X[0] + 1j * X[1] if planar else X[0])
 
     @cached_property
@@ -211,3 +209,20 @@ class GainProblem:
         T[np.diag_indices_from(T)] += REGULARIZATION * T.diagonal().mean()
         factor, lower = cho_factor(T, overwrite_a=True, check_finite=False)
         return factor, lower
+
+
+def _least_eigenvalue(A: Inexact[Array, "n n"]) -> float:
+    values, *_, info = _find_routine(np.iscomplexobj(A), len(A))(A)
+    if info != 0:
+        raise np.linalg.LinAlgError(f"LAPACK stopped with {info} for a matrix of {A.shape}")
+    return float(values[0])
+
+
+@cache
+def _find_routine(is_complex: bool, n: int) -> Any:
+    # Checks and workspace queries of `scipy.linalg.eigvalsh` take four times as long as 6 × 6 do.
+    name, keys = ("zheevr", ["lwork", "lrwork"]) if is_complex else ("dsyevr", ["lwork"])
+    *sizes, _ = getattr(lapack, f"{name}_lwork")(n, lower=1)
+    space = zip([*keys, "liwork"], (int(size.real) for size in sizes), strict=True)
+    options = {"compute_v": 0, "range": "I", "il": 1, "iu": 1, "lower": 1}
+    return partial(getattr(lapack, name), **options, **dict(space))

@@ -113,39 +113,3 @@ def empty_half_spaces(transfer: TransferProblem) -> HalfSpaces:
     """Return no half-spaces, for an agent without conflicts."""
     n, m = transfer.model.B.shape[1:]
     return HalfSpaces(np.zeros(0, int), np.zeros((0, n)), np.zeros((0, m)), np.zeros(0))
-
-
-def separate_points(
-    maps: tuple[Array, Array, Array],
-    normal: Float[Array, "others pieces d"],
-    points: Float[Array, "others pieces 4 d"],
-    separation: Float[Array, " others"],
-) -> HalfSpaces:
-    """List the half-spaces n·(P x + Q u + r − c̄) ≥ R of all points that a control can move.
-
-    Args:
-        maps: P, Q and r of each control point, (T, S, 4, d, ·), of the first pieces.
-        normal: Unit normals n.
-        points: Control points c̄ of others [m].
-        separation: Required distance R from each [m].
-    """
-    P, Q, r = maps
-    T, S, _, d, n = P.shape
-    pieces, others = T * S, len(points)
-    is_short = min(normal.shape[1], points.shape[1]) < pieces
-    if is_short or not len(normal) == len(points) == len(separation):
-        raise ValueError(
-            f"{pieces} pieces need as many normals and points of each other, got normals of shape "
-            f"{normal.shape} and points of shape {points.shape} for {len(separation)} others"
-        )
-    movable = np.any(Q != 0, axis=(3, 4))
-    movable[1:] = True
-    each, normal = movable.ravel(), normal[:, :pieces]
-    away = points[:, :pieces] - r.reshape(pieces, 4, d)
-    rhs = separation[:, None, None] + np.einsum("opd,opid->opi", normal, away)
-    along = np.repeat(normal, 4, axis=1)[:, each]
-    on_x = np.einsum("ord,rdn->orn", along, P.reshape(-1, d, n)[each])
-    on_u = np.einsum("ord,rdm->orm", along, Q.reshape(-1, d, d)[each])
-    step = np.tile(np.repeat(np.arange(T), 4 * S)[each], others)
-    rhs = rhs.reshape(others, 4 * pieces)[:, each].ravel()
-    return HalfSpaces(step, on_x.reshape(-1, n), on_u.reshape(-1, d), rhs)

@@ -6,12 +6,12 @@ hardly any room is left, one can give way only if others do.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array, hstack, vstack
+from scipy.sparse import block_array, block_diag, csc_array, csr_array, diags_array, eye_array
 
 from problems.conic import ConicProgram
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, choose_normals
@@ -211,30 +211,25 @@ class JointStopProblem:
 
     def _limits(
         self, u: Float[Array, "vehicles T m"], x: Float[Array, "vehicles instants n"]
-    ) -> list[list[tuple[csr_array, Array]]]:
+    ) -> list[tuple[Any, Array]]:
         """Return rows and rhs: rhs − rows · unknowns are zero, nonnegative, or in cones."""
         d, free = self.horizon.discrete_model.axes, np.flatnonzero(self.is_free).tolist()
-        kinds: list[list[tuple[csr_array, Array]]] = [[], [], []]
+        eye, found = np.eye(d), list[Any]()
         for a in free:
-            vehicle, E, columns = self.vehicles[a], self._blocks[a], self._first[a]
+            vehicle, E = self.vehicles[a], self._blocks[a]
             on_v, T = self._on_axis[0] @ E, vehicle.steps
-
-            def place(rows: Array, rhs: Array, kind: int, columns: int = int(columns)) -> None:
-                k, c = np.nonzero(rows)
-                entries = rows[k, c], (k, columns + c)
-                shape = len(rows), int(self._first[-1])
-                kinds[kind].append((csr_array(coo_array(entries, shape=shape)), rhs))
-
-            eye = np.eye(d)
-            place(np.kron(on_v[T : T + 1], eye), -x[a, T, d:], 0)
+            none = np.zeros((0, d * E.shape[1])), np.zeros(0)
+            kinds = [none, (np.kron(on_v[T : T + 1], eye), -x[a, T, d:])], [none], [none]
             speed = vehicle.speed_limit
             fast = 1 + np.flatnonzero(speed.measure(x[a, 1:T, d:]) > FAST * speed.most)
             bounds = ((vehicle.control_limit, E[:T], u[a, :T]), (speed, on_v[fast], x[a, fast, d:]))
             for limit, response, drift in (bound for bound in bounds if len(bound[1])):
                 each = np.kron(response, eye).reshape(len(response), d, d * E.shape[1])
                 rows, rhs = limit.constrain(each, drift)
-                place(-rows, rhs, 1 if limit.faces is not None else 2)
-        return kinds
+                kinds[1 if limit.faces is not None else 2].append((-rows, rhs))
+            found.append([map(np.concatenate, zip(*kind, strict=True)) for kind in kinds])
+        each_kind = [zip(*kind, strict=True) for kind in zip(*found, strict=True)]
+        return [(block_diag(rows), np.concatenate(rhs)) for rows, rhs in each_kind]
 
     def _solve(
         self,
@@ -242,7 +237,7 @@ class JointStopProblem:
         near: NearPieces,
         room: Float[Array, "rows 4"],
         rows: tuple[Array, Array],
-        limits: list[list[tuple[csr_array, Array]]],
+        limits: list[tuple[Any, Array]],
     ) -> tuple[Float[Array, "vehicles T m"], Float[Array, " groups"]]:
         """Solve with some of the half-spaces; the slack of each group of pieces is returned too."""
         at, point = rows
@@ -250,15 +245,14 @@ class JointStopProblem:
         count, slacks = int(self._first[-1]), len(groups)
         coeffs = self._coefficients(near, at, point)
         one = csr_array((np.ones(len(at)), (np.arange(len(at)), slack_of)), (len(at), slacks))
-        zero, nonnegative, cones = (
-            (
-                _pad(vstack([rows for rows, _ in kind]) if kind else csr_array((0, count)), slacks),
-                np.concatenate([rhs for _, rhs in kind]) if kind else np.zeros(0),
-            )
-            for kind in limits
-        )
-        positive = hstack([csr_array((slacks, count)), -eye_array(slacks)])
-        A = vstack([zero[0], nonnegative[0], hstack([-coeffs, -one]), positive, cones[0]])
+        zero, nonnegative, cones = limits
+        A = block_array([
+            [zero[0], None],
+            [nonnegative[0], None],
+            [-coeffs, -one],
+            [None, -eye_array(slacks)],
+            [cones[0], None],
+        ])  # fmt: skip
         b = np.concatenate([zero[1], nonnegative[1], room[at, point], np.zeros(slacks), cones[1]])
         quadratic, linear = self._cost(u)
         q = np.append(linear, np.full(slacks, SLACK_WEIGHT))
@@ -276,19 +270,16 @@ class JointStopProblem:
     def _coefficients(self, near: NearPieces, at: Array, point: Array) -> csr_array:
         """Return the change of the room of control points, over the distance, by the unknowns."""
         scale = np.array(self.horizon.scale or np.ones(self.horizon.discrete_model.axes))
-        found: list[tuple[Array, Array, Array]] = []
+        coeffs = np.zeros((len(at), self._first[-1]))
         for vehicle, sign in ((near.first[at], 1.0), (near.second[at], -1.0)):
             for a in np.flatnonzero(self.is_free).tolist():
                 rows = np.flatnonzero(vehicle == a)
                 response = self._on_points[a][4 * near.piece[at[rows]] + point[rows]]
                 along = sign * scale * near.normal[at[rows]] / near.required[at[rows], None]
-                each = (response[:, :, None] * along[:, None]).reshape(
-                    len(rows), response.shape[1] * along.shape[1]
-                )
-                k, c = np.nonzero(each)
-                found.append((each[k, c], rows[k], self._first[a] + c))
-        entries, k, c = (np.concatenate(part) for part in zip(*found, strict=True))
-        return csr_array(coo_array((entries, (k, c)), shape=(len(at), int(self._first[-1]))))
+                columns = slice(self._first[a], self._first[a + 1])
+                moved = response[:, :, None] * along[:, None]
+                coeffs[rows, columns] = moved.reshape(coeffs[rows, columns].shape)
+        return csr_array(coeffs)
 
     def _cost(self, u: Float[Array, "vehicles T m"]) -> tuple[Array, Array]:
         """Return the diagonal of the quadratic cost, and the linear cost."""
@@ -322,7 +313,3 @@ def _make_blocks(steps: int, T: int) -> Float[Array, "T blocks"]:
     k = np.arange(T)[:, None]
     begins, until = np.array([0, *ends[:-1]][: len(ends)], dtype=int), np.array(ends, dtype=int)
     return ((begins <= k) & (k < until)).astype(float)
-
-
-def _pad(rows: csr_array, columns: int) -> csr_array:
-    return hstack([rows, csr_array((rows.shape[0], columns))])

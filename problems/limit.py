@@ -43,6 +43,10 @@ class Limit:
         """Compute ‖v / s‖_r, which may be at most L."""
         return vector_norm(v if np.ndim(self.bound) == 0 else v / self.shares, self.norm)
 
+    def excess(self, v: Float[Array, "*k m"]) -> float:
+        """Compute by how much the largest vector exceeds the limit, relative to it."""
+        return float(self.measure(v).max(initial=0.0)) / self.most - 1
+
     def is_exceeded(self, v: Float[Array, "*k m"]) -> Bool[Array, "*k"]:
         """Tell which vectors exceed the limit by more than rounding."""
         most = self.most * (1 + LIMIT_TOLERANCE)

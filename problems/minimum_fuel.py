@@ -25,6 +25,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import csc_array
+from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
 from dynamics.doors import checked
@@ -53,7 +54,7 @@ def solve_minimum_fuel(
     steps: DiscreteModel,
     displacement: Float[Array, "programs n"],
     max_control: Annotated[Bound, Gt(0)],
-    weight: Float[Array, " T"],
+    weight: Annotated[Float[Array, " T"], Gt(0)],
     batches: Annotated[int, Ge(1)] = DEFAULT_BATCHES,
 ) -> MinimumFuelSolutions:
     """Solve many transfers of least fuel without a speed limit.
@@ -76,7 +77,8 @@ def solve_minimum_fuel(
         Unsolved: The solution of HiGHS fails verification too.
     """
     T, count = len(steps), len(displacement)
-    _validate(T, displacement, max_control, weight)
+    if T == 0:
+        raise ValueError("a transfer needs at least one step")
     if steps.A.ndim > 3 or not (steps.is_double_integrator and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:
@@ -118,18 +120,6 @@ def _solve_by_simplex(
     return u, is_reachable
 
 
-def _validate(T: int, displacement: Array, max_control: Bound, weight: Array) -> None:
-    if T == 0:
-        raise ValueError("a transfer needs at least one step")
-    if not (np.greater(max_control, 0) & np.isfinite(max_control)).all():
-        raise ValueError(f"max_control must be positive and finite, got {max_control}")
-    if weight.shape != (T,) or not (weight > 0).all():
-        raise ValueError(f"weight needs a positive weight for each of {T} steps, got {weight}")
-    if not np.isfinite(displacement).all():
-        q = int(np.flatnonzero(~np.isfinite(displacement).all(axis=1))[0])
-        raise ValueError(f"displacement {q} is not finite: {displacement[q]}")
-
-
 @checked
 def reachability_matrix(steps: DiscreteModel) -> Float[Array, "*agents n T m"]:
     """Compute C, the response of the last state to a unit of each u[k]."""
@@ -144,13 +134,11 @@ def reachability_matrix(steps: DiscreteModel) -> Float[Array, "*agents n T m"]:
 def decouple_axes(steps: DiscreteModel) -> list[tuple[Int[Array, " s"], Int[Array, " i"]]]:
     """Find the groups of states and inputs that do not act on one another."""
     n, m = steps.B.shape[-2:]
-    are_joined = np.eye(n + m, dtype=bool)
-    are_joined[:n, :n] |= steps.A.reshape(-1, n, n).any(axis=0)
-    are_joined[:n, n:] |= steps.B.reshape(-1, n, m).any(axis=0)
-    are_joined |= are_joined.T
-    for _ in range((n + m).bit_length()):  # squared, until all paths are found
-        are_joined = are_joined @ are_joined
-    groups = [np.flatnonzero(row) for i, row in enumerate(are_joined) if not row[:i].any()]
+    act = np.zeros((n + m, n + m), dtype=bool)
+    act[:n, :n] = steps.A.reshape(-1, n, n).any(axis=0)
+    act[:n, n:] = steps.B.reshape(-1, n, m).any(axis=0)
+    count, label = connected_components(act, directed=False)
+    groups = [np.flatnonzero(label == k) for k in range(count)]
     return [(group[group < n], group[group >= n] - n) for group in groups]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
-from scipy.sparse import block_diag, csc_array, vstack
+from scipy.sparse import block_diag, csc_array, csr_array, vstack
 
 from dynamics.doors import checked
 from problems.avoidance import AvoidanceProblem, cost_unit, solve_condensed
@@ -168,22 +168,16 @@ class PairProblem:
         shared = np.hstack(blocks)
         most = np.abs(shared).sum(axis=1) / len(signs)
         breakable = most > rhs  # most rows hold for any control
-        blocks_A, blocks_b = [], []
-        for kind in zip(*map(_row_slices, parts), strict=True):
-            of_kind = list(zip(parts, kind, strict=True))
-            blocks_A.append(block_diag([part.A.tocsr()[rows] for part, rows in of_kind]))
-            blocks_b.append(np.concatenate([part.b[rows] for part, rows in of_kind]))
-        blocks_A.insert(2, csc_array(shared[breakable]))
-        blocks_b.insert(2, rhs[breakable])
         first, second = parts
-        nonnegative = first.nonnegative + second.nonnegative + int(breakable.sum())
+        added = int(breakable.sum())
+        # Equations, then inequalities, the shared ones last, then cones.
+        counts = [(p.zero, p.nonnegative, len(p.b) - p.linear) for p in parts]
+        kinds = np.concatenate([*(np.repeat([0, 1, 2], c) for c in counts), np.ones(added)])
+        order = np.argsort(kinds, kind="stable")
+        A = vstack([block_diag([first.A, second.A]), csr_array(shared[breakable])]).tocsr()
+        b = np.concatenate([first.b, second.b, rhs[breakable]])[order]
+        nonnegative = first.nonnegative + second.nonnegative + added
         sizes = first.zero + second.zero, nonnegative, first.soc_sizes + second.soc_sizes
-        q, A = np.concatenate([first.q, second.q]), csc_array(vstack(blocks_A))
         P = None if first.P is None else csc_array(block_diag([first.P, second.P]))
-        return ConicProgram(q, A, np.concatenate(blocks_b), *sizes, P=P)
-
-
-def _row_slices(part: ConicProgram) -> tuple[slice, slice, slice]:
-    """Return the rows of the equations, inequalities and cones."""
-    first, second = part.zero, part.zero + part.nonnegative
-    return slice(first), slice(first, second), slice(second, None)
+        q = np.concatenate([first.q, second.q])
+        return ConicProgram(q, csc_array(A[order]), b, *sizes, P=P)

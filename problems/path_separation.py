@@ -47,9 +47,8 @@ def separation_violation(relative: ControlPoints, radius: Separation) -> float:
 
 
 def _per_piece(radius: Separation, shape: tuple[int, ...]) -> Array:
-    found = np.empty(shape)
-    found[...] = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
-    return found
+    each = np.reshape(radius, np.shape(radius) + (1,) * (len(shape) - np.ndim(radius)))
+    return np.broadcast_to(each, shape)
 
 
 def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Array, "*pairs"]:
@@ -60,23 +59,6 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
     return are_hulls_separated(relative, radius, is_exact=False)
 
 
-def are_pairs_separated(
-    paths: Float[Array, "k pieces 4 d"], radius: float
-) -> Bool[Array, "pairs pieces"]:
-    """Return `are_hulls_separated` of each piece for all pairs of paths, in little memory.
-
-    The pairs are in the order of `numpy.triu_indices`.
-    """
-    i, j = np.triu_indices(len(paths), 1)
-    separated = np.empty((len(i), paths.shape[1]), dtype=bool)
-    count = max(1, MAX_COORDINATES // max(1, paths[0].size)) if len(paths) else 1
-    for begin in range(0, len(i), count):
-        some = slice(begin, begin + count)
-        relative = paths[i[some]] - paths[j[some]]
-        separated[some] = are_hulls_separated(relative, radius)
-    return separated
-
-
 def are_paths_separated(
     paths: Float[Array, "k pieces 4 d"],
     i: Int[Array, " pairs"],
@@ -84,20 +66,35 @@ def are_paths_separated(
     radius: Float[Array, " pairs"],
 ) -> Bool[Array, " pairs"]:
     """Return True where all pieces of the pairs i, j of paths keep their distances [m]."""
+    separated = np.ones(len(i), dtype=bool)
+    separated[find_meetings(paths, i, j, radius)[0]] = False
+    return separated
+
+
+def find_meetings(
+    paths: Float[Array, "k pieces 4 d"],
+    i: Int[Array, " pairs"],
+    j: Int[Array, " pairs"],
+    radius: Float[Array, " pairs"],
+) -> tuple[Int[Array, " met"], Int[Array, " met"]]:
+    """List the pieces in which pairs of paths do not keep their distances, in little memory.
+
+    Returns:
+        Number of the pair, and the piece.
+    """
     if not len(i):
-        return np.ones(0, dtype=bool)
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
     middle, extent = enclosing_balls(paths)
     apart = np.linalg.norm(middle[i] - middle[j], axis=1)
-    separated = np.ones(len(i), dtype=bool)
     near = np.flatnonzero(~(apart > extent[i] + extent[j] + radius))  # also what is not finite
     pair, piece = near_pieces(paths, i[near], j[near], radius[near])
-    pair = near[pair]
+    pair, is_met = near[pair], np.zeros(len(pair), dtype=bool)
     count = max(1, MAX_COORDINATES // paths[0, 0].size)
     for begin in range(0, len(pair), count):
-        own, k = pair[begin : begin + count], piece[begin : begin + count]
-        relative = paths[i[own], k] - paths[j[own], k]
-        separated[own[~are_hulls_separated(relative, radius[own])]] = False
-    return separated
+        some = slice(begin, begin + count)
+        relative = paths[i[pair[some]], piece[some]] - paths[j[pair[some]], piece[some]]
+        is_met[some] = ~are_hulls_separated(relative, radius[pair[some]])
+    return pair[is_met], piece[is_met]
 
 
 def near_pieces(

@@ -6,8 +6,8 @@ from math import inf, isfinite
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.sparse import csc_array
 
+from problems.avoidance import stack_with_bounds
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces
@@ -55,7 +55,7 @@ class SafetyFilterProblem:
         active = np.zeros(len(self.half_spaces.rhs), dtype=bool)
         while True:
             problem = replace(self, half_spaces=self.half_spaces.select(active))
-            found = solve_within_speed(problem._slow_down, self.transfer.speed_excess)
+            found = problem._solve()
             violation = np.where(active, 0.0, self.half_spaces.violation(found.x, found.u))
             tolerance = VIOLATION_TOLERANCE * float(np.abs(found.x).max())
             violated = self.half_spaces.worst_per_step(violation, tolerance)
@@ -77,10 +77,13 @@ class SafetyFilterProblem:
     def _fuel_weight(self) -> float:
         return FUEL_WEIGHT * self.wanted_step * self.transfer.model.dt
 
-    def _slow_down(self, factor: float) -> Trajectory:
-        return replace(self, transfer=self.transfer.slow_down(factor))._solve()
-
     def _solve(self) -> Trajectory:
+        return solve_within_speed(
+            lambda factor: replace(self, transfer=self.transfer.slow_down(factor))._solve_once(),
+            self.transfer.speed_excess,
+        )
+
+    def _solve_once(self) -> Trajectory:
         limit, unknowns = self.transfer.control_limit, ask(self.solver, self.assemble_conic()).x
         plus, minus = unknowns[: self._controls], unknowns[self._controls : 2 * self._controls]
         u = limit.most * (plus - minus).reshape(-1, limit.axes) * limit.shares
@@ -102,32 +105,24 @@ class SafetyFilterProblem:
         zero = np.vstack([_on_both_signs(R[T, m:], 2 * n), np.hstack([R[k], -R[k], errors])])
         zero_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
-        linear, linear_rhs = [-limit.most * coeffs], [rhs]
-        cones, cones_rhs = [np.zeros((0, N))], [np.zeros(0)]
+        found = [(-limit.most * coeffs, rhs)], [(np.zeros((0, N)), np.zeros(0))]
         controls = limit.most * limit.shares[:, None] * np.eye(N).reshape(T, m, N)
         speeds = transfer.speed_limit, R[1:T, m:], free[1:T, m:]
         for bound, response, drift in ((limit, controls, np.zeros((T, m))), speeds):
             # The unknowns' own bounds are those of the norm ∞ of the controls.
             if isfinite(bound.most) and not (bound is limit and bound.norm == "inf"):
                 rows, rows_rhs = bound.constrain(response, drift)
-                (cones if bound.faces is None else linear).append(-rows)
-                (cones_rhs if bound.faces is None else linear_rhs).append(rows_rhs)
-        inequalities = np.vstack(linear), np.concatenate(linear_rhs)
-        conic = np.vstack(cones), np.concatenate(cones_rhs)
-        count = 2 * N + 2 * n
-        A = np.vstack([
-            zero,
-            _on_both_signs(inequalities[0], 2 * n),
-            np.eye(2 * N, count),
-            -np.eye(count),
-            _on_both_signs(conic[0], 2 * n),
-        ])  # fmt: skip
-        b = [zero_rhs, inequalities[1], np.ones(2 * N), np.zeros(count), conic[1]]
+                found[bound.faces is None].append((-rows, rows_rhs))
+        (linear, linear_rhs), (cones, cones_rhs) = (
+            map(np.concatenate, zip(*kind, strict=True)) for kind in found
+        )
+        above, below = (_on_both_signs(rows, 2 * n) for rows in (linear, cones))
+        A = stack_with_bounds(np.vstack([zero, above]), 2 * N, below)
+        b = [zero_rhs, linear_rhs, np.ones(2 * N), np.zeros(2 * N + 2 * n), cones_rhs]
         weight, fuel = np.repeat([1.0, dt], m), self._fuel_weight * dt * limit.most
         q = np.concatenate([np.tile(fuel * limit.shares, 2 * T), weight, weight])
-        nonnegative, sizes = len(inequalities[1]) + 2 * N + count, len(conic[1]) // (m + 1)
-        rhs = np.concatenate(b)
-        return ConicProgram(q, csc_array(A), rhs, len(zero), nonnegative, (m + 1,) * sizes)
+        nonnegative, sizes = A.shape[0] - len(zero) - len(below), (m + 1,) * (len(below) // (m + 1))
+        return ConicProgram(q, A, np.concatenate(b), len(zero), nonnegative, sizes)
 
 
 def _on_both_signs(rows: Float[Array, "rows controls"], more: int) -> Float[Array, "rows unknowns"]:

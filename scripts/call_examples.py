@@ -253,7 +253,6 @@ def _transfers() -> Iterator[Call]:
     yield transfer.speed_excess, {"trajectory": flown}
     yield transfer.cost, {"trajectory": flown}
     yield transfer.solve_without_limits, {"start": start, "targets": targets}
-    yield transfer.require_uniform_limits, {"what": "this program"}
     yield transfer.solve, {**ends, "solver": solver}
     yield transfer.simulate, {"start": start, "u": flown.u}
     yield transfer.build_cvxpy, {"start": start}

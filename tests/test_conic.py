@@ -207,7 +207,7 @@ def test_clarabel_session_results_do_not_depend_on_order(rng):
 
 @pytest.mark.parametrize("wrong", [{"nonnegative": -1}, {"soc_sizes": (0,)}, {"psd_orders": (0,)}])
 def test_a_cone_without_rows_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"at least (one|0)"):
+    with pytest.raises(ValueError, match=r"at least [01]"):
         ConicProgram(
             np.ones(1), csc_array((2, 1)), np.zeros(2), **({"zero": 2, "nonnegative": 0} | wrong)
         )

@@ -118,7 +118,7 @@ def test_programs_that_differ_in_b_alone_share_their_matrix(name, size):
 def test_unknown_families_are_refused_with_the_known_ones():
     with pytest.raises(ValueError, match=r'no family "transfer".* transfer-lp'):
         load_family("transfer", "small")
-    with pytest.raises(ValueError, match='no size "tiny"; it has small, medium, large'):
+    with pytest.raises(ValueError, match='size: must be "small", "medium" or "large", got "tiny"'):
         load_family("transfer-lp", "tiny")
 
 

@@ -25,11 +25,11 @@ def draw(rng):
 
 def solve_in_parts(w, E, g, C, h, relaxed, parts):
     program = FuelProgram(w, PENALTY if relaxed[0] else np.inf)
-    program.add_equations(E, g, np.full(len(g), ERROR if relaxed[1] else np.inf))
+    program.add(E, g, np.full(len(g), ERROR if relaxed[1] else np.inf))
     status = program.solve()
     for some in np.array_split(np.arange(len(h)), parts):
         if status == "optimal" and len(some):
-            program.add_inequalities(C[some], h[some], is_relaxed=bool(relaxed[0]))
+            program.add(C[some], h[some], is_relaxed=bool(relaxed[0]))
             status = program.solve()
     return program, program.confirm() if status == "optimal" else status
 
@@ -85,7 +85,7 @@ def test_rows_that_repeat_others_leave_the_cost(rng):
 def test_a_row_without_entries_decides_by_its_constant():
     for constant, expected in ((0.1, "optimal"), (-0.1, "infeasible")):
         program = FuelProgram(np.ones(3))
-        program.add_inequalities(np.array([[1.0, 0, 0], [0, 0, 0]]), np.array([0.0, constant]))
+        program.add(np.array([[1.0, 0, 0], [0, 0, 0]]), np.array([0.0, constant]))
         assert program.solve() == expected
 
 
@@ -95,11 +95,11 @@ def test_infeasibility_is_certified_where_other_rows_are_relaxed(rng):
     for _ in range(40):
         w, E, g, C, h, _ = draw(rng)
         program = FuelProgram(w, PENALTY)
-        program.add_equations(E, g, np.full(len(g), ERROR))
-        program.add_inequalities(C, h, is_relaxed=True)
+        program.add(E, g, np.full(len(g), ERROR))
+        program.add(C, h, is_relaxed=True)
         assert program.solve() == "optimal"
         row = rng.normal(size=(1, len(w)))
-        program.add_inequalities(row, np.array([-1.001 * np.abs(row).sum()]))
+        program.add(row, np.array([-1.001 * np.abs(row).sum()]))
         assert program.solve() == "infeasible"
         count += len(h) > 0
     assert count > 20
@@ -111,19 +111,19 @@ def test_programs_that_one_point_satisfies_are_solved(rng):
         coeffs, corner = rng.normal(size=(2, n)), rng.choice([-1.0, 1.0], n)
         coeffs[0] = corner * rng.uniform(0.1, 1.0, n)
         program = FuelProgram(rng.uniform(0.5, 1.5, n))
-        program.add_equations(coeffs, -coeffs @ corner, np.full(2, np.inf))
+        program.add(coeffs, -coeffs @ corner, np.full(2, np.inf))
         assert program.solve() == "optimal" == program.confirm()
         np.testing.assert_allclose(program.controls, corner, atol=1e-7)
 
 
 def test_an_answer_to_another_program_is_no_answer():
     program = FuelProgram(np.ones(1), 1e6)
-    program.add_inequalities(np.ones((1, 1)), np.array([-0.5]), is_relaxed=True)
+    program.add(np.ones((1, 1)), np.array([-0.5]), is_relaxed=True)
     assert program.solve() == "optimal" == program.confirm()
     program._slopes[1, 1] = 0.01  # with this penalty it costs less to violate the row
     assert not program._is_optimal()
     program = FuelProgram(np.ones(1))
-    program.add_equations(np.ones((1, 1)), np.array([5.0]), np.array([10.0]))
+    program.add(np.ones((1, 1)), np.array([5.0]), np.array([10.0]))
     assert program.solve() == "optimal"
     program._ray = np.array([-1.0, 0.0, 1.0])
     assert not program._is_unbounded()

@@ -6,10 +6,10 @@ from gain_examples import assert_satisfies_equations, complete, graph_of, random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy.linalg import null_space
+from scipy.linalg import eigvalsh, null_space
 
 from problems.desired_formation import DesiredFormation
-from problems.gain_problem import GainProblem, NoGainMatrix
+from problems.gain_problem import GainProblem, NoGainMatrix, _least_eigenvalue
 from problems.gain_sdp import solve
 
 DRAWS = st.integers(0, 2**32 - 1)
@@ -118,3 +118,17 @@ def test_nearly_singular_equations_leave_small_residuals(rng):
     problem = GainProblem.from_formation(DesiredFormation(points, graph), "xy")
     L = problem.project(np.eye(8)).L
     assert np.abs(L @ problem.kernel).max() < 1e-11 * max(1, np.abs(L).max())
+
+
+@pytest.mark.parametrize("axes", ["xy", "z"])
+def test_rate_is_that_of_scipy_bit_for_bit(axes):
+    for seed in range(3):
+        problem, rng = random_problem(seed, axes, n=6 + 20 * seed)
+        L = hermitian(problem, rng)
+        least = eigvalsh(problem.shift_kernel(L), subset_by_index=[0, 0])[0]
+        assert problem.convergence_rate(L) == least
+
+
+def test_matrix_without_eigenvalues_raises_an_error():
+    with pytest.raises(np.linalg.LinAlgError, match=r"stopped with \d .* \(3, 3\)"):
+        _least_eigenvalue(np.full((3, 3), np.nan))

@@ -219,7 +219,7 @@ def test_highs_solves_what_is_not_solved_or_wrongly_solved(rng, monkeypatch, wro
             r"displacement: .* with nan at \[1, 0\]",
             {"displacement": np.array([[0.0] * 4, [np.nan] * 4])},
         ),
-        ("a positive weight for each of 20 steps", {"weight": np.zeros(20)}),
+        ("weight: must be an array of finite numbers above 0", {"weight": np.zeros(20)}),
     ],
 )
 def test_invalid_arguments_are_refused(message, changes):

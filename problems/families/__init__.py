@@ -6,7 +6,7 @@
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +16,8 @@ from scipy.sparse import csc_array, diags_array
 from dynamics.doors import checked
 from problems.conic import ConicProgram
 
-SIZES = ("small", "medium", "large")
+Size = Literal["small", "medium", "large"]
+SIZES: tuple[Size, ...] = get_args(Size)
 MIN_COST_SCALE = 1e-6  # smallest scale of a relative error of the cost
 REFERENCE_ERROR = 1e-7  # of a reference cost, from the residuals of its solution
 
@@ -82,7 +83,7 @@ def list_families() -> list[str]:
 
 @checked
 @cache
-def load_family(name: str, size: str) -> Family:
+def load_family(name: str, size: Size) -> Family:
     """Load the programs of one family and size.
 
     Raises:
@@ -91,8 +92,6 @@ def load_family(name: str, size: str) -> Family:
     if name not in list_families():
         known = ", ".join(list_families())
         raise ValueError(f'there is no family "{name}"; there are {known}')
-    if size not in SIZES:
-        raise ValueError(f'{name} has no size "{size}"; it has {", ".join(SIZES)}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
         # A and q are stored once for all the instances that share them.
         shared = [_parse_program(data, k) for k in range(int(data["programs"]))]

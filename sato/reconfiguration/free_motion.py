@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.model import ControlSamples, NonlinearModel, StateSamples
 from dynamics.trajectory_geometry import control_points
-from problems.path_separation import are_pairs_separated
+from problems.path_separation import find_meetings
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 
@@ -31,8 +31,9 @@ def free_motion(mission: Reconfiguration, leg: Leg, arrival: int) -> tuple[int, 
     count = leg.steps if period is None else ceil(FREE_ORBITS * PIECES_PER_ORBIT)
     paths = drift_freely(mission, leg.targets, count, arrival * mission.step, h)
     radius = mission.largest_separation + mission.margin
-    clear = are_pairs_separated(paths, radius).all(axis=0)
-    return count if clear.all() else int(clear.argmin()), h
+    i, j = np.triu_indices(len(paths), 1)
+    _, piece = find_meetings(paths, i, j, np.full(len(i), radius))
+    return int(piece.min(initial=count)), h
 
 
 def drift_freely(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from problems.drifts import KEPT_FACTOR
-from problems.path_separation import are_pairs_separated
+from problems.path_separation import find_meetings
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.models import PlantSettings
 from sato.scenario.errors import InputError
@@ -61,9 +61,10 @@ def check_targets(mission: "Reconfiguration") -> None:
     for number, leg in enumerate(mission.legs):
         horizon, arrivals = follow_targets(mission, leg, begun * mission.step, leg.steps)
         begun += leg.steps
-        clear = are_pairs_separated(arrivals, KEPT_FACTOR * horizon.distance).all(axis=1)
-        if not clear.all():
-            i, j = (rows[clear.argmin()] for rows in np.triu_indices(len(arrivals), 1))
+        i, j = np.triu_indices(len(arrivals), 1)
+        met, _ = find_meetings(arrivals, i, j, np.full(len(i), KEPT_FACTOR * horizon.distance))
+        if len(met):
+            i, j = i[met.min()], j[met.min()]
             raise InputError(
                 "plan.passive_safety_m",
                 f"targets {i} and {j} of leg {number} come within "
