@@ -57,8 +57,6 @@ def complete_gravity(value: Any) -> None:
         ValueError: A number is out of its range, or no body has this mu and k_J2 is not given.
     """
     mu, k, radius = value.mu, value.k_J2, value.body_radius
-    if not 0 < mu < inf:
-        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     body = find_body(mu)
     radius = body.radius if radius is None else radius
     if k is None and body is UNKNOWN:

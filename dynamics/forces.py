@@ -1,8 +1,10 @@
 """Forces on a spacecraft in inertial space: two-body gravity, J2 and drag."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -21,7 +23,7 @@ class Forces:
     B = C_D A/m [m²/kg].
     """
 
-    mu: float = EARTH_MU  # gravitational parameter [m³/s²]
+    mu: Annotated[float, Gt(0)] = EARTH_MU  # gravitational parameter [m³/s²]
     k_J2: float = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
     atmosphere: Atmosphere | None = None  # of the Earth
     body_radius: float = FROM_MU  # at the equator [m]; of the body with this mu, if not given
@@ -86,10 +88,9 @@ class Forces:
         if self.atmosphere is None or ballistic_coefficient is None:
             return np.zeros(count)
         if np.shape(ballistic_coefficient) not in ((), (count,)):
-            raise ValueError(
-                "ballistic_coefficient: give one for all agents or one for each; there are "
-                f"{count} agents and {np.size(ballistic_coefficient)} coefficients"
-            )
+            there = f"there are {count} agents and {np.size(ballistic_coefficient)} coefficients"
+            reason = f"give one for all agents or one for each; {there}"
+            raise ValueError(f"ballistic_coefficient: {reason}")
         return np.broadcast_to(np.asarray(ballistic_coefficient, dtype=float), (count,))
 
     def validate_ballistic_coefficients(self, ballistic_coefficient: Scalars | None) -> None:
