@@ -105,9 +105,8 @@ class LVLH:
         # Agent axes go between those of the instants and those of a vector or matrix.
         instants = part.ndim - own
         if x.ndim > instants and x.shape[:instants] != part.shape[:instants]:
-            raise InputError(
-                "", f"the first axes must be those of the instants, {part.shape[:instants]}"
-            )
+            wanted = f"those of the instants, {part.shape[:instants]}"
+            raise InputError("", f"the first axes must be {wanted}")
         agents = max(0, x.ndim - 1 - instants)
         return part.reshape(part.shape[:instants] + (1,) * agents + part.shape[instants:])
 
@@ -163,10 +162,9 @@ def radius_and_momentum(state: OrbitStates) -> tuple[Float[Array, "*k"], Float[A
     r = np.linalg.norm(state[..., :3], axis=-1)
     h = np.linalg.norm(_cross(state[..., :3], state[..., 3:]), axis=-1)
     if not (np.isfinite(h).all() and (h > 0).all()):
-        raise ValueError(
-            "an orbit needs a finite position and velocity that do not lie on one line through "
-            f"the center of the body, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
-        )
+        needed = "a finite position and velocity that do not lie on one line through its center"
+        wrong = state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]
+        raise ValueError(f"an orbit about a body needs {needed}, got {wrong}")
     return np.asarray(r), np.asarray(h)
 
 

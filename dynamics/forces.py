@@ -109,9 +109,8 @@ class Forces:
             )
         given = np.asarray(ballistic_coefficient)
         if self.atmosphere is None and given.any():
-            raise ValueError(
-                "ballistic coefficients have no effect without an atmosphere: give one"
-            )
+            reason = "have no effect without an atmosphere: give one"
+            raise ValueError(f"ballistic coefficients {reason}")
         if not (np.isfinite(given) & (given >= 0)).all():
             least = f"got {given.min()} m²/kg"
             raise ValueError(f"ballistic coefficients are finite and not negative, {least}")

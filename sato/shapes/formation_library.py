@@ -214,11 +214,10 @@ def random_sparse_graph(
     np.fill_diagonal(graph, False)
     least, edges = int(graph.sum()) // 2, round(share * complete)
     if not least <= edges <= complete:
-        raise ValueError(
-            f"a share of {share:g} of the {complete} edges between {n} points makes {edges}, and "
-            f"the graph needs {least} to have stabilizing gains and has {complete} at most: "
-            f"{ceil(1e4 * least / complete) / 1e4:g} to 1 would do"
-        )
+        found = f"a share of {share:g} of the {complete} edges between {n} points makes {edges}"
+        needed = f"{least} to have stabilizing gains and has {complete} at most"
+        cure = f"{ceil(1e4 * least / complete) / 1e4:g} to 1 would do"
+        raise ValueError(f"{found}, and the graph needs {needed}: {cure}")
     i, j = np.nonzero(np.triu(~graph, 1))
     added = rng.choice(len(i), size=edges - least, replace=False)
     graph[i[added], j[added]] = graph[j[added], i[added]] = True
