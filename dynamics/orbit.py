@@ -24,7 +24,7 @@ from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
 from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
 from dynamics.doors import checked
 from dynamics.inputs import InputError
-from dynamics.quantities import check_turns
+from dynamics.quantities import within_turns
 from dynamics.symbols import Number, Numbers
 from dynamics.units import Angle, Length, Speed, Unit
 
@@ -123,8 +123,10 @@ class Orbit:
             ValueError: This is not an ellipse, the perigee is inside the body, or mu is of no
                 known body and there is no k_J2.
         """
-        check_turns(inclination=inclination, raan=raan)
-        check_turns(arg_perigee=arg_perigee, true_anomaly=true_anomaly)
+        within_turns(inclination, "inclination")
+        within_turns(raan, "raan")
+        within_turns(arg_perigee, "arg_perigee")
+        within_turns(true_anomaly, "true_anomaly")
         validate_ellipse(semi_major_axis, eccentricity, mu)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)

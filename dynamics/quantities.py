@@ -53,16 +53,7 @@ def to_si(value: Any, unit: str) -> Any:
     return numbers if np.ndim(numbers) else numbers.item()
 
 
-def check_turns(**angles: float) -> None:
-    """Refuse arguments that are angles beyond two turns, by their names."""
-    for name, angle in angles.items():
-        try:
-            within_turns(angle)
-        except InputError as error:
-            raise error.inside(name) from error
-
-
-def within_turns(angle: Any) -> Any:
+def within_turns(angle: Any, name: str = "") -> Any:
     """Return an angle, or an array of angles, within two turns; a larger one is in degrees.
 
     Raises:
@@ -71,7 +62,7 @@ def within_turns(angle: Any) -> Any:
     if isinstance(angle, int | float | Array) and np.abs(angle).max(initial=0.0) > 4 * pi:
         worst = float(np.ravel(angle)[np.abs(np.ravel(angle)).argmax()])
         meant = f"{worst:.6g} degrees are np.radians({worst:.6g}) = {np.radians(worst):.6g}"
-        raise InputError("", f"must be in radians, within two turns, got {worst:.6g}; {meant}")
+        raise InputError(name, f"must be in radians, within two turns, got {worst:.6g}; {meant}")
     return angle
 
 

@@ -31,7 +31,11 @@ class Mission(Definition):
 
     system: ClassVar[str]
     callbacks: ClassVar = {
-        "draw": Callback("rng", lambda own, given, drawn: _check_drawn(own, drawn), InputError),
+        "draw": Callback(
+            "rng",
+            lambda own, given, drawn: as_kind(drawn, type(own), f"a {type(own).__name__}, drawn"),
+            InputError,
+        ),
         "warnings": Callback("", lambda own, given, value: as_kind(value, list, "a list of text")),
     }
 
@@ -84,10 +88,6 @@ def describe_own(text: str) -> str:
     verb, them = ("is", "it") if len(found) == 1 else ("are", "them")
     given = f"{verb} of your own; sato.load(path, mission=...) gives {them}"
     return f"{join_names(found, 'and')} {given}" if found else ""
-
-
-def _check_drawn(mission: Mission, drawn: Any) -> Any:
-    return as_kind(drawn, type(mission), f"a {type(mission).__name__}, drawn")
 
 
 def scenarios() -> dict[str, str]:

@@ -18,7 +18,7 @@ from dynamics.inputs import InputError
 from problems.desired_formation import DesiredFormation
 from sato.scenario.csv_file import read_rows
 from sato.scenario.errors import join_names
-from sato.shapes.shape import read_points
+from sato.shapes.shape import read_states
 
 LIBRARY_FILE = Path(__file__).with_name("formations.toml")
 VERTEX = re.compile(  # names of the two columns of a list of edges
@@ -94,7 +94,9 @@ def read_formation(path: str | Path) -> DesiredFormation:
         ValueError: The file cannot be read, or its points make no formation.
     """
     path = Path(path)
-    points = read_points(path)
+    points, velocities = read_states(path)
+    if velocities is not None:
+        raise ValueError(f"{path}: has velocities, and these points are at rest; drop its vx")
     try:
         return make_formation(points, name=path.stem)
     except ValueError as error:
