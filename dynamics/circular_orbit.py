@@ -14,7 +14,15 @@ from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.bodies import EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.bodies import (
+    EARTH_MU,
+    FROM_MU,
+    BodyRadius,
+    Mu,
+    Oblateness,
+    complete_gravity,
+    find_body,
+)
 from dynamics.doors import check_methods, checked
 from dynamics.model import LinearModel
 from dynamics.orbit import K_J2, Orbit, Vectors, validate_inclination
@@ -111,9 +119,6 @@ class ClohessyWiltshire(CircularOrbitModel):
 
     Args:
         n: Mean motion of the chief [rad/s].
-
-    Raises:
-        ValueError: The mean motion is not positive and finite.
     """
 
     n: Annotated[AngularRate, Gt(0)]
@@ -161,9 +166,9 @@ class SchweighartSedwick(CircularOrbitModel):
 
     radius: Length
     inclination: Angle
-    mu: Annotated[float, Gt(0)] = EARTH_MU
-    k_J2: float = FROM_MU
-    body_radius: float = FROM_MU
+    mu: Mu = EARTH_MU
+    k_J2: Oblateness = FROM_MU
+    body_radius: BodyRadius = FROM_MU
 
     def __post_init__(self) -> None:
         """Complete the gravity; check the orbit, and that J2 is a small perturbation."""

@@ -19,9 +19,6 @@ class DoubleIntegrator(LinearModel):
 
     Args:
         axes: Dimension of space, 2 or 3.
-
-    Raises:
-        ValueError: It is another one.
     """
 
     axes: Literal[2, 3] = 2

@@ -1,15 +1,22 @@
 """Forces on a spacecraft in inertial space: two-body gravity, J2 and drag."""
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.bodies import EARTH, EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.bodies import (
+    EARTH,
+    EARTH_MU,
+    FROM_MU,
+    BodyRadius,
+    Mu,
+    Oblateness,
+    complete_gravity,
+    find_body,
+)
 from dynamics.doors import checked
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
@@ -23,10 +30,10 @@ class Forces:
     B = C_D A/m [m²/kg].
     """
 
-    mu: Annotated[float, Gt(0)] = EARTH_MU  # gravitational parameter [m³/s²]
-    k_J2: float = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
+    mu: Mu = EARTH_MU  # gravitational parameter [m³/s²]
+    k_J2: Oblateness = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
     atmosphere: Atmosphere | None = None  # of the Earth
-    body_radius: float = FROM_MU  # at the equator [m]; of the body with this mu, if not given
+    body_radius: BodyRadius = FROM_MU  # at the equator [m]; of the body with this mu, if not given
 
     def __post_init__(self) -> None:
         """Complete the gravity, and refuse the Earth's air about another body."""
@@ -100,14 +107,10 @@ class Forces:
             ValueError: An atmosphere without coefficients, nonzero coefficients without an
                 atmosphere, or a negative coefficient.
         """
-        if ballistic_coefficient is None:
-            if self.atmosphere is None:
-                return
-            raise ValueError(
-                "drag needs the ballistic coefficient C_D A/m of every agent and of the chief, in "
-                "m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg"
-            )
-        given = np.asarray(ballistic_coefficient)
+        given = np.asarray(0.0 if ballistic_coefficient is None else ballistic_coefficient)
+        if ballistic_coefficient is None and self.atmosphere is not None:
+            reason = "drag needs the ballistic coefficient C_D A/m of every agent and of the chief"
+            raise ValueError(f"{reason}, in m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg")
         if self.atmosphere is None and given.any():
             reason = "have no effect without an atmosphere: give one"
             raise ValueError(f"ballistic coefficients {reason}")

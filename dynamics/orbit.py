@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -21,7 +21,8 @@ from dynamics.bodies import EARTH_J2 as EARTH_J2
 from dynamics.bodies import EARTH_MU as EARTH_MU
 from dynamics.bodies import EARTH_RADIUS as EARTH_RADIUS
 from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
-from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
+from dynamics.bodies import FROM_MU, BodyRadius, Mu, Oblateness, complete_gravity, find_body
+from dynamics.bodies import oblateness as oblateness
 from dynamics.doors import checked
 from dynamics.inputs import InputError
 from dynamics.quantities import within_turns
@@ -79,9 +80,9 @@ class Orbit:
     raan: Turn
     inclination: Angle
     arg_latitude: Turn
-    mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU
-    k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU
-    body_radius: Length = FROM_MU
+    mu: Mu = EARTH_MU
+    k_J2: Oblateness = FROM_MU
+    body_radius: BodyRadius = FROM_MU
 
     def __post_init__(self) -> None:
         """Complete the gravity, and check that the state is on an ellipse above the surface."""
@@ -102,9 +103,9 @@ class Orbit:
         raan: Angle = 0.0,
         arg_perigee: Angle = 0.0,
         true_anomaly: Angle = 0.0,
-        mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU,
-        k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU,
-        body_radius: Length = FROM_MU,
+        mu: Mu = EARTH_MU,
+        k_J2: Oblateness = FROM_MU,
+        body_radius: BodyRadius = FROM_MU,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.
 

@@ -48,7 +48,8 @@ def to_si(value: Any, unit: str) -> Any:
         return value
     numbers, powers = found
     if {name: power for name, power in powers.items() if power} != _powers(unit):
-        wanted = f"{_article(SUFFIXES[unit].quantity)}" if unit else "a number without a unit"
+        noun = SUFFIXES[unit].quantity if unit else "number without a unit"
+        wanted = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
         raise InputError("", f"must be {wanted}, got {_format(value)}")
     return numbers if np.ndim(numbers) else numbers.item()
 
@@ -97,10 +98,6 @@ def _powers(unit: str) -> Powers:
         name = part.rstrip("0123456789")
         powers[name] = float(part[len(name) :] or 1) * (-1 if place else 1)
     return powers
-
-
-def _article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _format(value: Any) -> str:

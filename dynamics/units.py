@@ -28,11 +28,6 @@ class Unit:
             reason = f"must be {join_names(SUFFIXES)}, got {format_value(self.suffix)}"
             raise InputError("suffix", reason)
 
-    @property
-    def quantity(self) -> str:
-        """Physical quantity that the unit measures."""
-        return SUFFIXES[self.suffix].quantity
-
     def __str__(self) -> str:
         """Spell the unit as in a formula."""
         return SUFFIXES[self.suffix].symbol

@@ -232,10 +232,8 @@ def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]
     for setting in overrides:
         address = override(data, setting, definition)
         with errors_in(address):
-            if isinstance(setting, str):
-                written.append(f"{address} = {setting.partition('=')[2].strip()}")
-            else:
-                written.append(f"{address} = {write_value(setting[1])}")
+            told = setting.partition("=")[2].strip() if isinstance(setting, str) else None
+            written.append(f"{address} = {write_value(setting[1]) if told is None else told}")
     return tuple(written)
 
 
