@@ -77,8 +77,7 @@ def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> Non
     if others and first == list(map(str, range(len(first)))) and all("." in c for c in others):
         cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
         raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
-    is_plain = len(rows) == 1 and not any("." in cell for cell in first)
-    if header == "x,y,z" and [cells[0] for cells in rows] == numbered and not is_plain:
+    if header == "x,y,z" and [cells[0] for cells in rows] == numbered:
         cure = "name the columns, id,x,y or x,y,z"
         raise ValueError(f"{path}: the first column, 0, 1, …, may number the rows or be x; {cure}")
 
