@@ -1,9 +1,10 @@
 """Atmosphere of exponential density that rotates with the Earth, and its drag."""
 
 from dataclasses import dataclass
-from math import inf
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -41,21 +42,17 @@ class Atmosphere:
     real density varies by a factor of several in both directions.
     """
 
-    reference_density: float = 6.967e-13  # ρ₀ [kg/m³]
+    reference_density: Annotated[float, Ge(0)] = 6.967e-13  # ρ₀ [kg/m³]
     reference_altitude: float = 500e3  # h₀ [m]
-    scale_height: float = 63.822e3  # H [m]
+    scale_height: Annotated[float, Gt(0)] = 63.822e3  # H [m]
     rotation_rate: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
 
     def __post_init__(self) -> None:
-        """Check density and scale height."""
-        is_finite = abs(self.reference_altitude) <= MAX_HEIGHTS * self.scale_height
-        if not (is_finite and 0 <= self.reference_density < inf and 0 < self.scale_height < inf):
-            raise ValueError(
-                "reference_density must not be negative, scale_height must be positive and "
-                f"reference_altitude at most {MAX_HEIGHTS} scale_height, got "
-                f"{self.reference_density} kg/m³, {self.scale_height} m and "
-                f"{self.reference_altitude} m"
-            )
+        """Check that densities are finite."""
+        if abs(self.reference_altitude) > MAX_HEIGHTS * self.scale_height:
+            wanted = f"at most {MAX_HEIGHTS} scale_height of {self.scale_height} m"
+            found = f"got {self.reference_altitude} m"
+            raise ValueError(f"reference_altitude must be {wanted}, {found}")
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":
@@ -66,10 +63,9 @@ class Atmosphere:
         """
         below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:
-            raise ValueError(
-                f"altitude: the table begins at {DENSITY_TABLE[0][0]} km, and no spacecraft can "
-                f"stay in orbit below, got {altitude / 1e3:.4g} km; altitudes are in meters"
-            )
+            reason = f"the table begins at {DENSITY_TABLE[0][0]} km, and no spacecraft can stay"
+            found = f"got {altitude / 1e3:.4g} km; altitudes are in meters"
+            raise ValueError(f"altitude: {reason} in orbit below, {found}")
         height, density, scale = below[-1]
         return cls(density, height * 1e3, scale * 1e3)
 

@@ -3,14 +3,20 @@
 A value that a caller leaves out is that of the body whose gravitational parameter is given.
 """
 
-from math import inf, isfinite
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from annotated_types import Ge, Gt, Le
+
+from dynamics.units import Length, Unit
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
 EARTH_MU = 3.986004418e14  # gravitational parameter [m³/s²]
 EARTH_RADIUS = 6378136.6  # at the equator [m]
 EARTH_J2 = 1.0826359e-3  # dynamical form factor
 EARTH_ROTATION = 7.292115e-5  # [rad/s]
+Mu = Annotated[float, Unit("m3_s2"), Gt(0)]
+Oblateness = Annotated[float, Unit("m5_s2"), Le(1e40)]
+BodyRadius = Annotated[Length, Ge(0)]  # 0 where it is not known
 FROM_MU: Any = None  # default of what follows from mu
 SAME_BODY = 1e-3  # relative difference of two gravitational parameters of one body, at most
 
@@ -54,11 +60,9 @@ def complete_gravity(value: Any) -> None:
     A radius of 0 is not known: nothing hits the surface.
 
     Raises:
-        ValueError: A number is out of its range, or no body has this mu and k_J2 is not given.
+        ValueError: No body has this mu, and k_J2 is not given, or it is that of another body.
     """
     mu, k, radius = value.mu, value.k_J2, value.body_radius
-    if not 0 < mu < inf:
-        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     body = find_body(mu)
     radius = body.radius if radius is None else radius
     if k is None and body is UNKNOWN:
@@ -66,8 +70,5 @@ def complete_gravity(value: Any) -> None:
     k = oblateness(body.J2, mu, radius or body.radius) if k is None else k
     if k == oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS) and body not in (EARTH, UNKNOWN):
         raise ValueError(f"k_J2: {k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
-    if not (isfinite(k) and 0 <= radius < inf):
-        reason = "k_J2 must be a small part of gravity, and body_radius finite and not negative"
-        raise ValueError(f"{reason}, got {k} m⁵/s² and {radius} m")
     object.__setattr__(value, "k_J2", k)
     object.__setattr__(value, "body_radius", radius)

@@ -7,13 +7,22 @@ Velocities are relative to the rotating axes.
 from abc import abstractmethod
 from dataclasses import dataclass
 from math import cos, inf, sin, sqrt
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from annotated_types import Gt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.bodies import EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.bodies import (
+    EARTH_MU,
+    FROM_MU,
+    BodyRadius,
+    Mu,
+    Oblateness,
+    complete_gravity,
+    find_body,
+)
 from dynamics.doors import check_methods, checked
 from dynamics.model import LinearModel
 from dynamics.orbit import K_J2, Orbit, Vectors, validate_inclination
@@ -39,18 +48,23 @@ class CircularOrbitModel(LinearModel):
 
     @property
     @abstractmethod
+    def _coefficients(self) -> tuple[float, float, float]:
+        """a, b and q of the equations."""
+
+    @property
     def rotation_rate(self) -> float:
         """a: rate of rotation of the LVLH axes [rad/s]."""
+        return self._coefficients[0]
 
     @property
-    @abstractmethod
     def radial_gradient(self) -> float:
         """b: gravity gradient and centrifugal term along the radius [1/s²]."""
+        return self._coefficients[1]
 
     @property
-    @abstractmethod
     def cross_track_rate(self) -> float:
         """q: rate of the cross-track oscillation [rad/s]."""
+        return self._coefficients[2]
 
     @property
     def in_plane_rate(self) -> float:
@@ -59,8 +73,8 @@ class CircularOrbitModel(LinearModel):
 
     def A(self, t: Number) -> Float[Array, "6 6"]:
         """State matrix."""
-        a = self.rotation_rate
-        K = np.diag([self.radial_gradient, 0, -(self.cross_track_rate**2)])
+        a, b, q = self._coefficients
+        K = np.diag([b, 0, -(q**2)])
         C = np.array([[0, 2 * a, 0], [-2 * a, 0, 0], [0, 0, 0]])
         return np.block([[np.zeros((3, 3)), np.eye(3)], [K, C]])
 
@@ -105,17 +119,9 @@ class ClohessyWiltshire(CircularOrbitModel):
 
     Args:
         n: Mean motion of the chief [rad/s].
-
-    Raises:
-        ValueError: The mean motion is not positive and finite.
     """
 
-    n: AngularRate
-
-    def __post_init__(self) -> None:
-        """Check the mean motion."""
-        if not 0 < self.n < inf:
-            raise ValueError(f"n: the mean motion must be positive and finite, got {self.n} rad/s")
+    n: Annotated[AngularRate, Gt(0)]
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "ClohessyWiltshire":
@@ -123,19 +129,8 @@ class ClohessyWiltshire(CircularOrbitModel):
         return cls(orbit.mean_motion)
 
     @property
-    def rotation_rate(self) -> float:
-        """a: rate of rotation of the LVLH axes [rad/s]."""
-        return self.n
-
-    @property
-    def radial_gradient(self) -> float:
-        """b: gravity gradient and centrifugal term along the radius [1/s²]."""
-        return 3 * self.n**2
-
-    @property
-    def cross_track_rate(self) -> float:
-        """q: rate of the cross-track oscillation [rad/s]."""
-        return self.n
+    def _coefficients(self) -> tuple[float, float, float]:
+        return self.n, 3 * self.n**2, self.n
 
 
 @checked
@@ -171,26 +166,22 @@ class SchweighartSedwick(CircularOrbitModel):
 
     radius: Length
     inclination: Angle
-    mu: float = EARTH_MU
-    k_J2: float = FROM_MU
-    body_radius: float = FROM_MU
+    mu: Mu = EARTH_MU
+    k_J2: Oblateness = FROM_MU
+    body_radius: BodyRadius = FROM_MU
 
     def __post_init__(self) -> None:
         """Complete the gravity; check the orbit, and that J2 is a small perturbation."""
         validate_inclination(self.inclination)
         complete_gravity(self)
         if not self.body_radius < self.radius < inf:
-            raise ValueError(
-                f"radius: must be above {find_body(self.mu).name}'s, "
-                f"{self.body_radius / 1e3:.0f} km, measured from the center and in meters, got "
-                f"{self.radius} m"
-            )
+            least = f"{find_body(self.mu).name}'s, {self.body_radius / 1e3:.0f} km"
+            reason = f"must be above {least}, measured from the center and in meters"
+            raise ValueError(f"radius: {reason}, got {self.radius} m")
         if not abs(self._j2_ratio) < 0.1:
-            raise ValueError(
-                "k_J2: must be a small part of gravity, got "
-                f"{self.mu} m³/s² and {self.k_J2} m⁵/s²; of the Earth they are {EARTH_MU:.4g} "
-                f"and {K_J2:.4g}"
-            )
+            found = f"{self.mu} m³/s² and {self.k_J2} m⁵/s²"
+            earth = f"of the Earth they are {EARTH_MU:.4g} and {K_J2:.4g}"
+            raise ValueError(f"k_J2: must be a small part of gravity, got {found}; {earth}")
 
     @classmethod
     def from_orbit(cls, orbit: Orbit) -> "SchweighartSedwick":
@@ -225,19 +216,10 @@ class SchweighartSedwick(CircularOrbitModel):
         return sqrt(1 + self.s)
 
     @property
-    def rotation_rate(self) -> float:
-        """a: rate of rotation of the LVLH axes [rad/s]."""
-        return self.n * self.c
-
-    @property
-    def radial_gradient(self) -> float:
-        """b: gravity gradient and centrifugal term along the radius [1/s²]."""
-        return (5 * self.c**2 - 2) * self.n**2
-
-    @property
-    def cross_track_rate(self) -> float:
-        """k_z: rate of the cross-track oscillation and of the argument of latitude [rad/s]."""
-        return self.n * (self.c + self._j2_ratio * cos(self.inclination) ** 2)
+    def _coefficients(self) -> tuple[float, float, float]:
+        n, c = self.n, self.c
+        k_z = n * (c + self._j2_ratio * cos(self.inclination) ** 2)
+        return n * c, (5 * c**2 - 2) * n**2, k_z
 
     @property
     def _j2_ratio(self) -> float:

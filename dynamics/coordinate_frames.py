@@ -89,7 +89,7 @@ class LVLH:
     def to_offset(self, x: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
         """Convert LVLH states to inertial states minus that of the chief."""
         omega, axes = self._add_agent_axes(self.omega, x, 1), self._add_agent_axes(self.axes, x, 2)
-        velocity = x[..., 3:] + _cross_omega(omega, x[..., :3])
+        velocity = x[..., 3:] + _cross(omega, x[..., :3])
         parts = [np.einsum("...ab,...a->...b", axes, part) for part in (x[..., :3], velocity)]
         return np.concatenate(parts, axis=-1)
 
@@ -99,15 +99,14 @@ class LVLH:
         axes = self._add_agent_axes(self.axes, offset, 2)
         parts = offset[..., :3], offset[..., 3:]
         position, velocity = (np.einsum("...ab,...b->...a", axes, part) for part in parts)
-        return np.concatenate([position, velocity - _cross_omega(omega, position)], axis=-1)
+        return np.concatenate([position, velocity - _cross(omega, position)], axis=-1)
 
     def _add_agent_axes(self, part: Array, x: Array, own: int) -> Array:
         # Agent axes go between those of the instants and those of a vector or matrix.
         instants = part.ndim - own
         if x.ndim > instants and x.shape[:instants] != part.shape[:instants]:
-            raise InputError(
-                "", f"the first axes must be those of the instants, {part.shape[:instants]}"
-            )
+            wanted = f"those of the instants, {part.shape[:instants]}"
+            raise InputError("", f"the first axes must be {wanted}")
         agents = max(0, x.ndim - 1 - instants)
         return part.reshape(part.shape[:instants] + (1,) * agents + part.shape[instants:])
 
@@ -163,10 +162,9 @@ def radius_and_momentum(state: OrbitStates) -> tuple[Float[Array, "*k"], Float[A
     r = np.linalg.norm(state[..., :3], axis=-1)
     h = np.linalg.norm(_cross(state[..., :3], state[..., 3:]), axis=-1)
     if not (np.isfinite(h).all() and (h > 0).all()):
-        raise ValueError(
-            "an orbit needs a finite position and velocity that do not lie on one line through "
-            f"the center of the body, got {state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]}"
-        )
+        needed = "a finite position and velocity that do not lie on one line through its center"
+        wrong = state.reshape(-1, 6)[np.argmin(np.nan_to_num(h))]
+        raise ValueError(f"an orbit about a body needs {needed}, got {wrong}")
     return np.asarray(r), np.asarray(h)
 
 
@@ -179,13 +177,6 @@ def _axes_from_angles(chief: Array) -> Array:
     normal = np.stack([sin_n * sin_i, -cos_n * sin_i, cos_i], axis=-1)
     c, s = np.cos(theta)[..., None], np.sin(theta)[..., None]
     return np.stack([c * to_node + s * transverse, c * transverse - s * to_node, normal], axis=-2)
-
-
-def _cross_omega(omega: Array, position: Array) -> Array:
-    """Return ω × r with ω = (ω_x, 0, ω_z)."""
-    x, y, z = np.moveaxis(position, -1, 0)
-    about_x, about_z = omega[..., 0], omega[..., 2]
-    return np.stack([-about_z * y, about_z * x - about_x * z, about_x * y], axis=-1)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -19,7 +19,6 @@ import numpy as np
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
-from dynamics.doors import Allow
 from dynamics.inputs import (
     LARGEST,
     InputError,
@@ -30,7 +29,7 @@ from dynamics.inputs import (
 )
 from dynamics.labels import to_plain
 from dynamics.symbols import Symbol, is_symbolic
-from dynamics.units import Unit
+from dynamics.units import Allow, Unit
 
 LIMITS: dict[type, tuple[str, str, Any]] = {
     annotated_types.Gt: ("gt", "above", operator.gt),
@@ -38,15 +37,19 @@ LIMITS: dict[type, tuple[str, str, Any]] = {
     annotated_types.Lt: ("lt", "below", operator.lt),
     annotated_types.Le: ("le", "at most", operator.le),
 }
-UPPER = annotated_types.Lt, annotated_types.Le
 # Kinds of NumPy that arrays may have, by the first type of their annotation, and what they become.
 ARRAYS: dict[str, tuple[str, Any, str]] = {
     "bool": ("biu", bool, "True and False"),
     "int2": ("iu", np.int64, "integers"),
     "complex64": ("iufc", complex, "finite numbers"),
 }
+LISTS = list, tuple, range, deque, Array
 LONGEST_NAME = 255  # of a file [byte]
-DIMENSION = re.compile(r"(?:(\d+)\*)?(\w+)(?:([+-])(\d+))?")  # 3, n, 2*d, T+1
+DIMENSION = re.compile(r"#?(?:(\d+)\*)?(\w+)(?:([+-]\d+))?")  # 3, n, 2*d, T+1
+
+
+class Wrong(Exception):
+    """A value is none of its kind; the text says what it must be: "a finite number"."""
 
 
 class Sizes:
@@ -59,37 +62,37 @@ class Sizes:
     def fit(self, shape: tuple[int, ...], dims: list[str]) -> bool:
         """Tell whether a shape fits dimensions, and if it does, keep the sizes of their names."""
         found = dict(self.known)
-        many = next((i for i, dim in enumerate(dims) if "*" == dim[0] or "..." in dim), None)
+        many = next((i for i, dim in enumerate(dims) if _is_many(dim)), None)
         if many is not None:
             end = len(shape) - (len(dims) - many - 1)
             if end < many or not _fit_many(shape[many:end], dims[many], found):
                 return False
             shape, dims = shape[:many] + shape[end:], dims[:many] + dims[many + 1 :]
-        if len(shape) != len(dims):
-            return False
-        is_fit = all(_fit_one(size, dim, found) for size, dim in zip(shape, dims, strict=True))
+        is_fit = len(shape) == len(dims) and all(
+            _fit_one(size, dim, found) for size, dim in zip(shape, dims, strict=True)
+        )
         if is_fit:
             self.known = found
         return is_fit
 
     def words(self, dims: list[str]) -> str:
         """Write dimensions, and the sizes that are known: (agents, 4)."""
-        parts = [self._word(dim) for dim in dims]
+        parts = ["..." if _is_many(dim) else self._word(dim) for dim in dims]
         return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
 
     def _word(self, dim: str) -> str:
-        if dim[0] == "*" or "..." in dim:
-            return "..."
-        factor, name, sign, offset = _parse(dim)
-        if name not in self.known:
-            return dim
-        return str(factor * self.known[name] + (int(f"{sign}{offset}") if sign else 0))
+        factor, name, offset = _parse(dim)
+        return str(factor * self.known[name] + offset) if name in self.known else dim
+
+
+def _is_many(dim: str) -> bool:
+    return dim[0] == "*" or dim == "..."
 
 
 @cache
-def _parse(dim: str) -> tuple[int, str, str, str]:
-    factor, name, sign, offset = DIMENSION.fullmatch(dim.strip("#{}")).groups()  # type: ignore
-    return int(factor or 1), name, sign or "", offset or ""
+def _parse(dim: str) -> tuple[int, str, int]:
+    factor, name, offset = DIMENSION.fullmatch(dim).groups()  # type: ignore[union-attr]
+    return int(factor or 1), name, int(offset or 0)
 
 
 def _fit_one(size: int, dim: str, found: dict[str, Any]) -> bool:
@@ -97,8 +100,8 @@ def _fit_one(size: int, dim: str, found: dict[str, Any]) -> bool:
         return True
     if dim.isdigit():
         return size == int(dim)
-    factor, name, sign, offset = _parse(dim)
-    value, remainder = divmod(size - (int(f"{sign}{offset}") if sign else 0), factor)
+    factor, name, offset = _parse(dim)
+    value, remainder = divmod(size - offset, factor)
     return value >= 0 and not remainder and found.setdefault(name, value) == value
 
 
@@ -116,13 +119,6 @@ def _fit_many(shape: tuple[int, ...], dim: str, found: dict[str, Any]) -> bool:
     return True
 
 
-class Check(NamedTuple):
-    """Check of a value: words for what it must be, and a conversion that refuses all else."""
-
-    wanted: Callable[[Sizes], str]  # "a finite number"
-    convert: Callable[[Any, Sizes], Any]
-
-
 class NumberRule(NamedTuple):
     """Numbers that an annotation allows besides its type."""
 
@@ -130,7 +126,7 @@ class NumberRule(NamedTuple):
     limits: tuple[Any, ...] = ()
     unit: str = ""  # suffix of the SI unit
 
-    def with_marks(self, marks: list[Any]) -> "NumberRule":
+    def with_marks(self, marks: tuple[Any, ...]) -> "NumberRule":
         """Add the marks of an annotation."""
         allow = next((mark for mark in marks if isinstance(mark, Allow)), self.allow)
         limits = (*self.limits, *(mark for mark in marks if type(mark) in LIMITS))
@@ -139,22 +135,34 @@ class NumberRule(NamedTuple):
 
     def words(self) -> str:
         """Write the limits: " above 0 and at most 1"."""
-        each = [(LIMITS[type(mark)], mark) for mark in self.limits]
-        return " and".join(f" {word} {getattr(mark, key):g}" for (key, word, _), mark in each)
+        bounds = [(LIMITS[type(mark)], mark) for mark in self.limits]
+        return " and".join(f" {word} {getattr(mark, key):g}" for (key, word, _), mark in bounds)
 
     def admit(self, value: int | float | Array) -> bool:
         """Tell whether a number, or all of an array, keep the limits; NaN does where allowed."""
-        each = [(LIMITS[type(mark)], mark) for mark in self.limits]
-        if isinstance(value, int):  # of any size
-            return all(test(value, getattr(mark, key)) for (key, _, test), mark in each)
-        number = np.asarray(value)
-        number = number[~np.isnan(number)] if self.allow.nan else number
-        is_real = ~np.isnan(number) if self.allow.infinite else np.isfinite(number)
-        is_within = (np.all(test(number, getattr(mark, key))) for (key, _, test), mark in each)
-        return bool(is_real.all()) and all(is_within)
+        if not isinstance(value, int):  # which may be of any size
+            value = np.asarray(value)
+            value = value[~np.isnan(value)] if self.allow.nan else value
+            if not (~np.isnan(value) if self.allow.infinite else np.isfinite(value)).all():
+                return False
+        bounds = [(LIMITS[type(mark)], mark) for mark in self.limits]
+        return all(np.all(test(value, getattr(mark, key))) for (key, _, test), mark in bounds)
 
 
+Check = Callable[[Any, Sizes], Any]  # converts a value, or raises `Wrong` or an `InputError`
 FINITE = NumberRule()
+
+
+def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
+    """Check a value; an error of it has its key."""
+    try:
+        return check(value, sizes)
+    except Wrong as wrong:
+        is_text = isinstance(value, str) and "a list" in str(wrong)
+        cure = f"; [{format_value(value)}] would do" if is_text else ""
+        raise InputError(key, f"must be {wrong}, got {describe(value)}{cure}") from None
+    except InputError as error:
+        raise error.inside(key) from error.__cause__
 
 
 @cache
@@ -162,9 +170,9 @@ def checks_of(function: Any) -> dict[str, Check]:
     """Make the checks of a function's arguments, by name."""
     hints, checks = _read_hints(function), dict[str, Check]()
     for name, parameter in inspect.signature(function).parameters.items():
-        numbers = NumberRule(Allow(infinite=_is_infinite(parameter.default)))
-        if (check := make_check(hints.get(name, Any), numbers)) is not None:
-            checks[name] = check
+        default = parameter.default
+        is_infinite = isinstance(default, float) and bool(np.isinf(default))
+        checks[name] = make_check(hints.get(name, Any), NumberRule(Allow(infinite=is_infinite)))
     return checks
 
 
@@ -178,86 +186,81 @@ def _read_hints(function: Any) -> dict[str, Any]:
     return hints
 
 
-def _is_infinite(value: Any) -> bool:
-    return isinstance(value, float) and bool(np.isinf(value))
+def take_all(value: Any, sizes: Sizes) -> Any:
+    """Take every value as it is."""
+    return value
 
 
-def make_check(hint: Any, numbers: NumberRule = FINITE) -> Check | None:
-    """Make the check of an annotation; None where it takes everything."""
+def make_check(hint: Any, numbers: NumberRule = FINITE) -> Check:
+    """Make the check of an annotation."""
     origin, parts = get_origin(hint), get_args(hint)
+    kind = origin or hint
     if isinstance(hint, str):
-        return (
-            _check_class_of_name(hint.rpartition(".")[2])
-            if hint.replace(".", "").isidentifier()
-            else None
-        )
+        is_name = hint.replace(".", "").isidentifier()
+        return _check_class(hint.rpartition(".")[2]) if is_name else take_all
     if origin is Annotated:
-        return make_check(parts[0], numbers.with_marks(list(parts[1:])))
+        return make_check(parts[0], numbers.with_marks(parts[1:]))
     if hint == ArrayLike:
         return _simple("numbers", _read_numbers)
-    if hasattr(hint, "dim_str") and not isinstance(hint.dtypes, list | tuple):
-        return _check_class(Array)  # of any entries
     if hasattr(hint, "dim_str"):
-        return _check_array(hint, numbers)
+        is_any = not isinstance(hint.dtypes, list | tuple)
+        return _check_class(Array) if is_any else _check_array(hint, numbers)
     if origin in (Union, types.UnionType):
         # A path may be text, which no other text is to be taken for.
         skipped = {type(None), Symbol, *([str] if Path in parts else [])}
-        others = [part for part in parts if part not in skipped]
-        return _check_union([make_check(part, numbers) for part in others], parts)
+        checks = [make_check(part, numbers) for part in parts if part not in skipped]
+        return take_all if take_all in checks else _check_union(checks, parts)
     if origin is Literal:
         return _check_literal(parts)
     if hint in (float, int):
         return _check_number(hint, numbers)
-    if (origin or hint) in PLAIN:
-        wanted, convert = PLAIN[origin or hint]
-        return _simple(wanted, convert)
-    if origin is tuple and parts[-1:] != (...,):
-        return _check_tuple([make_check(part, numbers) for part in parts])
+    if kind in PLAIN:
+        return _simple(*PLAIN[kind])
+    if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
+        is_row = origin is tuple and parts[-1] is not ...
+        checks = [make_check(part, numbers) for part in parts if part is not ...]
+        return _check_list(checks, len(parts) if is_row else None)
     if origin in (dict, collections.abc.Mapping):
         return _check_table(*[make_check(part, numbers) for part in parts])
-    if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
-        return _check_list(make_check(parts[0], numbers))
-    kind = origin or hint
-    return _check_class(kind) if isinstance(kind, type) and kind not in (object, Any) else None
+    is_class = isinstance(kind, type) and kind not in (object, Any)
+    return _check_class(kind) if is_class else take_all
 
 
 def _simple(wanted: str, convert: Callable[[Any], Any]) -> Check:
     """Make a check of a conversion that returns None for what it does not take."""
 
-    def take(value: Any, sizes: Sizes) -> Any:
+    def check(value: Any, sizes: Sizes) -> Any:
         if (found := convert(value)) is None:
-            raise InputError("", f"must be {wanted}, got {describe(value)}")
+            raise Wrong(wanted)
         return found
 
-    return Check(lambda sizes: wanted, take)
+    return check
 
 
-def _read_number(value: Any) -> Any:
-    if isinstance(value, np.generic) or (type(value) is Array and value.ndim == 0):
-        value = value.item()
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if is_number else None
+def _as_item(value: Any) -> Any:
+    """Return a number of NumPy as one of Python."""
+    is_numpy = isinstance(value, np.generic) or (type(value) is Array and value.ndim == 0)
+    return value.item() if is_numpy else value
 
 
 def _check_number(kind: type, numbers: NumberRule) -> Check:
     words = {int: "an integer", float: "a number" if numbers.allow.infinite else "a finite number"}
-
     is_positive = any(getattr(mark, "gt", None) == 0 for mark in numbers.limits)
-    is_bounded = any(type(mark) in UPPER for mark in numbers.limits)
+    is_bounded = any(LIMITS[type(mark)][0] in ("lt", "le") for mark in numbers.limits)
 
     def convert(value: Any) -> Any:
         if isinstance(value, list | tuple | Mapping):  # whose labels name no number
             return None
-        number = _read_number(to_plain(value, numbers.unit))
-        if number is None or (kind is int and not isinstance(number, int)):
+        number = _as_item(to_plain(value, numbers.unit))
+        if isinstance(number, bool) or not isinstance(number, int if kind is int else int | float):
             return None
-        if kind is float and isinstance(number, int):
-            number = float(number) if abs(number) <= LARGEST else None
-        if number is None or not numbers.admit(number):
+        if kind is float and isinstance(number, int) and abs(number) > LARGEST:
             return None
-        if is_bounded:
-            return kind(number)
-        return check_range(kind(number)) if is_positive or abs(number) > 1 else kind(number)
+        number = kind(number)
+        if not numbers.admit(number):
+            return None
+        is_checked = not is_bounded and (is_positive or abs(number) > 1)
+        return check_range(number) if is_checked else number
 
     return _simple(words[kind] + numbers.words(), convert)
 
@@ -279,34 +282,29 @@ PLAIN: dict[Any, tuple[str, Callable[[Any], Any]]] = {
 }
 
 
-def _check_class(kind: type) -> Check:
-    wanted = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
+def _check_class(kind: type | str) -> Check:
+    """Make the check of a class, or of the name of one that is not imported."""
+    name = kind if isinstance(kind, str) else kind.__name__
 
-    def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, kind):
-            raise InputError("", f"must be {wanted}, got {describe(value)}")
+    def check(value: Any, sizes: Sizes) -> Any:
+        names = [base.__name__ for base in type(value).__mro__]
+        if not (name in names if isinstance(kind, str) else isinstance(value, kind)):
+            raise Wrong(f"{'an' if name[0] in 'AEIOU' else 'a'} {name}")
         known = {} if isinstance(value, type) else getattr(value, "array_sizes", {})
-        for name, size in known.items():
-            if not name.startswith("own_") and sizes.known.setdefault(name, size) != size:
-                reason = f"must be {sizes.known[name]} as of the others, got {size}"
-                raise InputError(name, reason)
+        for axis, size in known.items():
+            if not axis.startswith("own_") and sizes.known.setdefault(axis, size) != size:
+                reason = f"must be {sizes.known[axis]} as of the others, got {size}"
+                raise InputError(axis, reason)
         return value
 
-    return Check(lambda sizes: wanted, convert)
-
-
-def _check_class_of_name(name: str) -> Check:
-    def convert(value: Any) -> Any:
-        return value if name in (kind.__name__ for kind in type(value).__mro__) else None
-
-    return _simple(f"a {name}", convert)
+    return check
 
 
 def _check_literal(values: tuple[Any, ...]) -> Check:
     options = [(type(value), value) for value in values]
 
     def convert(value: Any) -> Any:
-        value = value.item() if isinstance(value, np.generic) else value
+        value = _as_item(value)
         if isinstance(value, float):  # a norm, as NumPy's take it
             value = "inf" if value == np.inf else int(value) if value.is_integer() else value
         return value if isinstance(value, str | int) and (type(value), value) in options else None
@@ -314,76 +312,52 @@ def _check_literal(values: tuple[Any, ...]) -> Check:
     return _simple(join_names(map(format_value, values)), convert)
 
 
-def _check_union(checks: list[Check | None], kinds: tuple[Any, ...]) -> Check | None:
-    if None in checks:
-        return None
-    each = [check for check in checks if check is not None]
-
-    def convert(value: Any, sizes: Sizes) -> Any:
+def _check_union(checks: list[Check], kinds: tuple[Any, ...]) -> Check:
+    def check_any(value: Any, sizes: Sizes) -> Any:
         if type(value) in kinds and isinstance(value, Symbol | None):
             return value
-        for check in each:
+        for check in checks:
             try:
-                return check.convert(value, sizes)
+                return check(value, sizes)
+            except Wrong:
+                continue
             except InputError as error:
-                if error.key or len(each) == 1:
+                if error.key or len(checks) == 1:
                     raise  # of an entry: the kind is right
-        raise _refusal(wanted(sizes), value)
+        raise Wrong(join_names(dict.fromkeys(_words(check, sizes) for check in checks)))
 
-    def wanted(sizes: Sizes) -> str:
-        return join_names(dict.fromkeys(check.wanted(sizes) for check in each))
-
-    return Check(wanted, convert)
+    return check_any
 
 
-def _refusal(wanted: str, value: Any) -> InputError:
-    cure = f"; [{format_value(value)}] would do" if isinstance(value, str) else ""
-    return InputError("", f"must be {wanted}, got {describe(value)}{cure * ('a list' in wanted)}")
-
-
-def _check_list(check: Check | None) -> Check:
-    def convert(value: Any, sizes: Sizes) -> Any:
-        is_list = isinstance(value, list | tuple | range | deque | Array)
-        if not is_list or (type(value) is Array and not value.ndim):
-            raise _refusal("a list", value)
-        if check is None:
-            return value
-        found = (check_entry(str(i), check, entry, sizes) for i, entry in enumerate(value))
-        return tuple(found)
-
-    return Check(lambda sizes: "a list", convert)
-
-
-def _check_tuple(checks: list[Check | None]) -> Check:
-    def convert(value: Any, sizes: Sizes) -> Any:
-        is_list = isinstance(value, list | tuple) or (type(value) is Array and value.ndim > 0)
-        if not is_list or len(value) != len(checks):
-            raise InputError("", f"must be {len(checks)} values, got {describe(value)}")
-        pairs = enumerate(zip(checks, value, strict=True))
-        return tuple(v if c is None else check_entry(str(i), c, v, sizes) for i, (c, v) in pairs)
-
-    return Check(lambda sizes: f"{len(checks)} values", convert)
-
-
-def _check_table(keys: Check | None = None, values: Check | None = None) -> Check:
-    def convert(value: Any, sizes: Sizes) -> Any:
-        if not isinstance(value, Mapping):
-            raise InputError("", f"must be a dict, got {describe(value)}")
-        found = {}
-        for key, entry in value.items():
-            key = key if keys is None else keys.convert(key, sizes)
-            found[key] = entry if values is None else check_entry(str(key), values, entry, sizes)
-        return found
-
-    return Check(lambda sizes: "a dict", convert)
-
-
-def check_entry(key: str, check: Check, value: Any, sizes: Sizes) -> Any:
-    """Check a value; an error of it has its key."""
+def _words(check: Check, sizes: Sizes) -> str:
+    """Say what a check wants, which a plain object is not."""
     try:
-        return check.convert(value, sizes)
-    except InputError as error:
-        raise error.inside(key) from error.__cause__
+        return str(check(object(), sizes))
+    except Wrong as wrong:
+        return str(wrong)
+
+
+def _check_list(checks: list[Check], count: int | None) -> Check:
+    """Make the check of a list: of its entries, or of as many as there are checks."""
+
+    def check(value: Any, sizes: Sizes) -> Any:
+        is_list = isinstance(value, LISTS) and getattr(value, "ndim", 1) > 0
+        if not is_list or count not in (None, len(value)):
+            raise Wrong("a list" if count is None else f"{count} values")
+        pairs = enumerate(zip(checks * len(value) if count is None else checks, value, strict=True))
+        return tuple(check_entry(str(i), entry, part, sizes) for i, (entry, part) in pairs)
+
+    return check
+
+
+def _check_table(keys: Check = take_all, values: Check = take_all) -> Check:
+    def check(value: Any, sizes: Sizes) -> Any:
+        if not isinstance(value, Mapping):
+            raise Wrong("a dict")
+        parts = ((check_entry("", keys, key, sizes), part) for key, part in value.items())
+        return {key: check_entry(str(key), values, part, sizes) for key, part in parts}
+
+    return check
 
 
 def _check_array(hint: Any, numbers: NumberRule) -> Check:
@@ -394,10 +368,7 @@ def _check_array(hint: Any, numbers: NumberRule) -> Check:
         name = "real numbers"
     dims, takes_symbols = hint.dim_str.split(), "object_" in hint.dtypes
 
-    def wanted(sizes: Sizes) -> str:
-        return f"an array of {name}{numbers.words()} of shape {sizes.words(dims)}"
-
-    def convert(value: Any, sizes: Sizes) -> Any:
+    def check(value: Any, sizes: Sizes) -> Any:
         if takes_symbols and _has_symbols(value):
             return value
         is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
@@ -405,7 +376,7 @@ def _check_array(hint: Any, numbers: NumberRule) -> Check:
         array = value if is_plain else _read_array(plain, kinds, dtype, takes_symbols)
         is_fit = array is not None and sizes.fit(array.shape, dims)
         if not is_fit or (dtype is not bool and not numbers.admit(array)):
-            raise InputError("", f"must be {wanted(sizes)}, got {describe(value)}")
+            raise Wrong(f"an array of {name}{numbers.words()} of shape {sizes.words(dims)}")
         if array.dtype == float:
             check_range(array[np.isfinite(array)])
         if sizes.keeps_arrays:
@@ -413,7 +384,7 @@ def _check_array(hint: Any, numbers: NumberRule) -> Check:
             array.flags.writeable = False
         return array
 
-    return Check(wanted, convert)
+    return check
 
 
 def _read_array(value: Any, kinds: str, dtype: Any, takes_objects: bool) -> Any:

@@ -13,23 +13,16 @@ import inspect
 import sys
 from collections.abc import Callable
 from functools import cache, wraps
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from dynamics.inputs import short_repr
+from dynamics.units import ANY_NUMBER as ANY_NUMBER
+from dynamics.units import MAY_BE_INFINITE as MAY_BE_INFINITE
+from dynamics.units import MAY_BE_NAN as MAY_BE_NAN
+from dynamics.units import Unit
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 INSIDE = "dynamics.", "problems.", "sato."
-
-
-class Allow(NamedTuple):
-    """Mark of an annotation: numbers that need not be finite, NaN for what is absent or ∞."""
-
-    nan: bool = False
-    infinite: bool = False
-
-
-MAY_BE_NAN, MAY_BE_INFINITE = Allow(nan=True), Allow(infinite=True)
-ANY_NUMBER = Allow(nan=True, infinite=True)
 
 
 def checked(target: Target) -> Target:
@@ -112,3 +105,6 @@ def _check_call(
         else:
             found = check_entry(name, check, value, sizes)
         given.arguments[name] = found
+
+
+checked(Unit)  # here, since checks are made of units

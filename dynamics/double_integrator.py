@@ -1,7 +1,7 @@
 """Double integrator: a point mass under a controlled acceleration."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -19,18 +19,10 @@ class DoubleIntegrator(LinearModel):
 
     Args:
         axes: Dimension of space, 2 or 3.
-
-    Raises:
-        ValueError: It is another one.
     """
 
-    axes: int = 2
+    axes: Literal[2, 3] = 2
     is_time_invariant: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        """Check the dimension."""
-        if self.axes not in (2, 3):
-            raise ValueError(f"axes: a double integrator has 2 or 3 axes, got {self.axes}")
 
     def A(self, t: Number) -> Float[Array, "n n"]:
         """State matrix."""

@@ -7,7 +7,16 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.atmosphere import Atmosphere
-from dynamics.bodies import EARTH, EARTH_MU, FROM_MU, complete_gravity, find_body
+from dynamics.bodies import (
+    EARTH,
+    EARTH_MU,
+    FROM_MU,
+    BodyRadius,
+    Mu,
+    Oblateness,
+    complete_gravity,
+    find_body,
+)
 from dynamics.doors import checked
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
@@ -21,10 +30,10 @@ class Forces:
     B = C_D A/m [m²/kg].
     """
 
-    mu: float = EARTH_MU  # gravitational parameter [m³/s²]
-    k_J2: float = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
+    mu: Mu = EARTH_MU  # gravitational parameter [m³/s²]
+    k_J2: Oblateness = FROM_MU  # 3/2 J₂ μ R² [m⁵/s²]; of the body with this mu, if not given
     atmosphere: Atmosphere | None = None  # of the Earth
-    body_radius: float = FROM_MU  # at the equator [m]; of the body with this mu, if not given
+    body_radius: BodyRadius = FROM_MU  # at the equator [m]; of the body with this mu, if not given
 
     def __post_init__(self) -> None:
         """Complete the gravity, and refuse the Earth's air about another body."""
@@ -86,10 +95,9 @@ class Forces:
         if self.atmosphere is None or ballistic_coefficient is None:
             return np.zeros(count)
         if np.shape(ballistic_coefficient) not in ((), (count,)):
-            raise ValueError(
-                "ballistic_coefficient: give one for all agents or one for each; there are "
-                f"{count} agents and {np.size(ballistic_coefficient)} coefficients"
-            )
+            there = f"there are {count} agents and {np.size(ballistic_coefficient)} coefficients"
+            reason = f"give one for all agents or one for each; {there}"
+            raise ValueError(f"ballistic_coefficient: {reason}")
         return np.broadcast_to(np.asarray(ballistic_coefficient, dtype=float), (count,))
 
     def validate_ballistic_coefficients(self, ballistic_coefficient: Scalars | None) -> None:
@@ -99,18 +107,13 @@ class Forces:
             ValueError: An atmosphere without coefficients, nonzero coefficients without an
                 atmosphere, or a negative coefficient.
         """
-        if ballistic_coefficient is None:
-            if self.atmosphere is None:
-                return
-            raise ValueError(
-                "drag needs the ballistic coefficient C_D A/m of every agent and of the chief, in "
-                "m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg"
-            )
-        given = np.asarray(ballistic_coefficient)
+        given = np.asarray(0.0 if ballistic_coefficient is None else ballistic_coefficient)
+        if ballistic_coefficient is None and self.atmosphere is not None:
+            reason = "drag needs the ballistic coefficient C_D A/m of every agent and of the chief"
+            raise ValueError(f"{reason}, in m²/kg: for instance 0.01 for 2.2 × 0.5 m² / 110 kg")
         if self.atmosphere is None and given.any():
-            raise ValueError(
-                "ballistic coefficients have no effect without an atmosphere: give one"
-            )
+            reason = "have no effect without an atmosphere: give one"
+            raise ValueError(f"ballistic coefficients {reason}")
         if not (np.isfinite(given) & (given >= 0)).all():
             least = f"got {given.min()} m²/kg"
             raise ValueError(f"ballistic coefficients are finite and not negative, {least}")

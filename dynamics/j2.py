@@ -71,24 +71,12 @@ def _axes_at(orbit: Orbit, t: Times) -> _Axes:
     times = np.asarray(t)
     if times.dtype == object:
         return _compute_axes(orbit, times)
-    if times.ndim == 0:
-        return _axes_at_instant(orbit, float(times))
-    times = times.astype(float)
-    return _axes_at_instants(orbit, times.tobytes(), times.shape)
+    return _fixed_axes(orbit, times.astype(float).tobytes(), times.shape)
 
 
-@lru_cache(maxsize=2048)  # motion is integrated over the same time again and again
-def _axes_at_instant(orbit: Orbit, t: float) -> _Axes:
-    return _fixed_axes(orbit, np.array(t))
-
-
-@lru_cache(maxsize=64)  # agents linearize about their own trajectories at the same times
-def _axes_at_instants(orbit: Orbit, times: bytes, shape: tuple[int, ...]) -> _Axes:
-    return _fixed_axes(orbit, np.frombuffer(times).reshape(shape))
-
-
-def _fixed_axes(orbit: Orbit, times: Array) -> _Axes:
-    axes = _compute_axes(orbit, times)
+@lru_cache(maxsize=2048)  # motion is integrated, and linearized, at the same times again and again
+def _fixed_axes(orbit: Orbit, times: bytes, shape: tuple[int, ...]) -> _Axes:
+    axes = _compute_axes(orbit, np.frombuffer(times).reshape(shape))
     for part in axes:
         part.setflags(write=False)
     return axes

@@ -7,6 +7,7 @@ No package is imported: an object is known by its attributes.
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -68,10 +69,9 @@ def match_columns(names: Sequence[Any], units: Units) -> dict[str, tuple[int, fl
 
 def knows_name(name: str, units: Units) -> bool:
     """Tell whether a name is that of a column."""
-    try:
+    with suppress(InputError):
         return bool(name) and _parse_name(name, 0, units) is not None
-    except InputError:
-        return False
+    return False
 
 
 def parse_unit(text: str, unit: str) -> float:

@@ -8,12 +8,12 @@ equatorial orbits too.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import cos, hypot, isfinite, pi, sin, sqrt
 from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -21,10 +21,11 @@ from dynamics.bodies import EARTH_J2 as EARTH_J2
 from dynamics.bodies import EARTH_MU as EARTH_MU
 from dynamics.bodies import EARTH_RADIUS as EARTH_RADIUS
 from dynamics.bodies import EARTH_ROTATION as EARTH_ROTATION
-from dynamics.bodies import FROM_MU, complete_gravity, find_body, oblateness
+from dynamics.bodies import FROM_MU, BodyRadius, Mu, Oblateness, complete_gravity, find_body
+from dynamics.bodies import oblateness as oblateness
 from dynamics.doors import checked
 from dynamics.inputs import InputError
-from dynamics.quantities import check_turns
+from dynamics.quantities import within_turns
 from dynamics.symbols import Number, Numbers
 from dynamics.units import Angle, Length, Speed, Unit
 
@@ -79,19 +80,17 @@ class Orbit:
     raan: Turn
     inclination: Angle
     arg_latitude: Turn
-    mu: Annotated[float, Unit("m3_s2")] = EARTH_MU
-    k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU
-    body_radius: Length = FROM_MU
+    mu: Mu = EARTH_MU
+    k_J2: Oblateness = FROM_MU
+    body_radius: BodyRadius = FROM_MU
 
     def __post_init__(self) -> None:
         """Complete the gravity, and check that the state is on an ellipse above the surface."""
         complete_gravity(self)
         elements, is_positive = self.initial_elements, self.r > 0 and self.h > 0
         if not is_positive or not all(map(isfinite, elements)):
-            raise ValueError(
-                "an orbit needs six finite elements, and a positive radius and angular momentum, "
-                f"got {tuple(map(float, elements))}"
-            )
+            needed = "six finite elements, and a positive radius and angular momentum"
+            raise ValueError(f"an orbit needs {needed}, got {tuple(map(float, elements))}")
         validate_inclination(self.inclination)
         validate_ellipse(self.semi_major_axis, self.eccentricity, self.mu, self.body_radius)
 
@@ -104,9 +103,9 @@ class Orbit:
         raan: Angle = 0.0,
         arg_perigee: Angle = 0.0,
         true_anomaly: Angle = 0.0,
-        mu: Annotated[float, Unit("m3_s2"), Gt(0)] = EARTH_MU,
-        k_J2: Annotated[float, Unit("m5_s2"), Le(1e40)] = FROM_MU,
-        body_radius: Length = FROM_MU,
+        mu: Mu = EARTH_MU,
+        k_J2: Oblateness = FROM_MU,
+        body_radius: BodyRadius = FROM_MU,
     ) -> "Orbit":
         """Create an orbit from osculating classical elements at time 0.
 
@@ -125,8 +124,10 @@ class Orbit:
             ValueError: This is not an ellipse, the perigee is inside the body, or mu is of no
                 known body and there is no k_J2.
         """
-        check_turns(inclination=inclination, raan=raan)
-        check_turns(arg_perigee=arg_perigee, true_anomaly=true_anomaly)
+        within_turns(inclination, "inclination")
+        within_turns(raan, "raan")
+        within_turns(arg_perigee, "arg_perigee")
+        within_turns(true_anomaly, "true_anomaly")
         validate_ellipse(semi_major_axis, eccentricity, mu)
         p = semi_major_axis * (1 - eccentricity**2)
         r, h = p / (1 + eccentricity * cos(true_anomaly)), sqrt(mu * p)
@@ -174,12 +175,10 @@ class Orbit:
 
             return symbolic_elements(self, times)
         times = np.asarray(t, dtype=float)
-        if not ((times >= 0) & (times <= MAX_TIME)).all():
-            wrong = times[~((times >= 0) & (times <= MAX_TIME))].flat[0]
-            raise InputError(
-                "t",
-                f"the chief's orbit is known from time 0 on, to {MAX_TIME:.0e} s, got {wrong} s",
-            )
+        is_known = (times >= 0) & (times <= MAX_TIME)
+        if not is_known.all():
+            known = f"the chief's orbit is known from time 0 on, to {MAX_TIME:.0e} s"
+            raise InputError("t", f"{known}, got {times[~is_known].flat[0]} s")
         elements = np.empty((*times.shape, 6))
         segment = (times // SEGMENT_DURATION).astype(int)
         for j in range(int(segment.max(initial=0))):
@@ -195,25 +194,21 @@ def validate_ellipse(
     """Check that an orbit is closed, and stays above the surface of the body.
 
     Raises:
-        ValueError: The eccentricity is not in [0, 1), the semi-major axis or the gravity is not
-            positive, or the perigee is inside the body.
+        ValueError: The eccentricity is not in [0, 1), the semi-major axis is not positive, or the
+            perigee is inside the body.
     """
     if not 0 <= eccentricity < 1:
-        raise ValueError(
-            f"eccentricity: an ellipse needs 0 ≤ e < 1, got {eccentricity:.6g}; a circle has e = 0"
-        )
+        wanted = "an ellipse needs 0 ≤ e < 1"
+        raise ValueError(f"eccentricity: {wanted}, got {eccentricity:.6g}; a circle has e = 0")
     if not 0 < semi_major_axis <= MAX_AXIS:
         wanted = f"must be positive and at most {MAX_AXIS:.0e} m"
         raise ValueError(f"semi_major_axis: {wanted}, got {semi_major_axis} m")
-    if not 0 < mu < inf:
-        raise ValueError(f"mu: must be positive and finite, got {mu} m³/s²")
     if (perigee := semi_major_axis * (1 - eccentricity)) <= body_radius:
         least = body_radius / (1 - eccentricity)
-        raise ValueError(
-            f"the perigee, {perigee / 1e3:.0f} km from the center, is inside {find_body(mu).name}, "
-            f"whose radius is {body_radius / 1e3:.0f} km; with an eccentricity of "
-            f"{eccentricity:g} a semi-major axis above {least / 1e3:.0f} km would do"
-        )
+        body = f"{find_body(mu).name}, whose radius is {body_radius / 1e3:.0f} km"
+        cure = f"a semi-major axis above {least / 1e3:.0f} km would do"
+        found = f"the perigee, {perigee / 1e3:.0f} km from the center, is inside {body}"
+        raise ValueError(f"{found}; with an eccentricity of {eccentricity:g} {cure}")
 
 
 def validate_inclination(inclination: float) -> None:
@@ -223,10 +218,9 @@ def validate_inclination(inclination: float) -> None:
         ValueError: It is not.
     """
     if not 0 <= inclination <= pi:
-        raise ValueError(
-            f"inclination: must lie between 0 and π, got {inclination:.6g} rad; angles are in "
-            f"radians, and {inclination:.6g}° would be {np.radians(inclination):.6g}"
-        )
+        reason = f"must lie between 0 and π, got {inclination:.6g} rad; angles are in radians"
+        meant = f"{inclination:.6g}° would be {np.radians(inclination):.6g}"
+        raise ValueError(f"inclination: {reason}, and {meant}")
 
 
 def polar_nodal_rates(chief: OrbitStates, mu: float, k_J2: float) -> OrbitStates:

@@ -48,21 +48,13 @@ def to_si(value: Any, unit: str) -> Any:
         return value
     numbers, powers = found
     if {name: power for name, power in powers.items() if power} != _powers(unit):
-        wanted = f"{_article(SUFFIXES[unit].quantity)}" if unit else "a number without a unit"
+        noun = SUFFIXES[unit].quantity if unit else "number without a unit"
+        wanted = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
         raise InputError("", f"must be {wanted}, got {_format(value)}")
     return numbers if np.ndim(numbers) else numbers.item()
 
 
-def check_turns(**angles: float) -> None:
-    """Refuse arguments that are angles beyond two turns, by their names."""
-    for name, angle in angles.items():
-        try:
-            within_turns(angle)
-        except InputError as error:
-            raise error.inside(name) from error
-
-
-def within_turns(angle: Any) -> Any:
+def within_turns(angle: Any, name: str = "") -> Any:
     """Return an angle, or an array of angles, within two turns; a larger one is in degrees.
 
     Raises:
@@ -71,7 +63,7 @@ def within_turns(angle: Any) -> Any:
     if isinstance(angle, int | float | Array) and np.abs(angle).max(initial=0.0) > 4 * pi:
         worst = float(np.ravel(angle)[np.abs(np.ravel(angle)).argmax()])
         meant = f"{worst:.6g} degrees are np.radians({worst:.6g}) = {np.radians(worst):.6g}"
-        raise InputError("", f"must be in radians, within two turns, got {worst:.6g}; {meant}")
+        raise InputError(name, f"must be in radians, within two turns, got {worst:.6g}; {meant}")
     return angle
 
 
@@ -106,10 +98,6 @@ def _powers(unit: str) -> Powers:
         name = part.rstrip("0123456789")
         powers[name] = float(part[len(name) :] or 1) * (-1 if place else 1)
     return powers
-
-
-def _article(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
 def _format(value: Any) -> str:

@@ -170,8 +170,6 @@ def trace(rate: Callable[..., Any], model: Any, *values: Any) -> Any:
             "takes them). A SymbolicModel, written with casadi.if_else, would do too"
         ) from error
     if np.shape(found) != (shape := arrays[1].shape):
-        raise ValueError(
-            f"{type(model).__name__}: states of shape {shape} have rates of the same shape, got "
-            f"{np.shape(found)}"
-        )
+        reason = f"states of shape {shape} have rates of the same shape, got {np.shape(found)}"
+        raise ValueError(f"{type(model).__name__}: {reason}")
     return casadi.Function("rate", symbols, [to_casadi(found[0])])(*expressions)

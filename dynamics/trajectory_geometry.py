@@ -192,9 +192,8 @@ def min_distance(points: Float[Array, "k d"]) -> float:
         ValueError: A point is not finite.
     """
     if not np.isfinite(points).all():
-        raise ValueError(
-            f"points must be finite, got {points[~np.isfinite(points).all(axis=1)][0]}"
-        )
+        wrong = points[~np.isfinite(points).all(axis=1)][0]
+        raise ValueError(f"points must be finite, got {wrong}")
     if len(points) < 2:
         return np.inf
     if len(points) <= ALL_PAIRS_POINTS:
@@ -263,10 +262,8 @@ def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) 
         ValueError: The number of instants is even.
     """
     if position.shape[-2] % 2 == 0:
-        raise ValueError(
-            f"{position.shape[-2]} instants do not pair up into pieces of twice the length: "
-            "an odd number is needed"
-        )
+        found = f"{position.shape[-2]} instants do not pair up into pieces of twice the length"
+        raise ValueError(f"{found}: an odd number is needed")
     return _midpoint_error(position, velocity, h) / 16
 
 
@@ -285,10 +282,9 @@ def interpolation_error_bound(
         ValueError: The model is not time-invariant.
     """
     if not model.is_time_invariant:
-        raise ValueError(
-            f"{type(model).__name__} is not time-invariant, so there is no proven bound: use "
-            "`interpolation_error`, which measures"
-        )
+        reason = "is not time-invariant, so there is no proven bound"
+        cure = "use `interpolation_error`, which measures"
+        raise ValueError(f"{type(model).__name__} {reason}: {cure}")
     d, A = model.axes, model.A(0.0)
     rate = x[..., : u.shape[-2], :] @ A.T + u @ model.B(0.0).T + model.z(0.0)
     rate = np.where(np.isfinite(rate), rate, 0.0)  # absent agents

@@ -5,33 +5,43 @@
 Values are in SI units everywhere; other units exist only in the keys of scenario files.
 """
 
+from dataclasses import dataclass
 from math import pi
 from typing import Annotated, NamedTuple
 
-from dynamics.doors import checked
-from dynamics.inputs import InputError, join_names
+from dynamics.inputs import InputError, format_value, join_names
 
 
-@checked
-class Unit(NamedTuple):
-    """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s²."""
+@dataclass(frozen=True)
+class Unit:
+    """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s².
+
+    Raises:
+        InputError: It is not known.
+    """
 
     suffix: str
 
-    @property
-    def quantity(self) -> str:
-        """Physical quantity that the unit measures."""
-        return self._entry.quantity
+    def __post_init__(self) -> None:
+        """Check the suffix."""
+        if self.suffix not in SUFFIXES:
+            reason = f"must be {join_names(SUFFIXES)}, got {format_value(self.suffix)}"
+            raise InputError("suffix", reason)
 
     def __str__(self) -> str:
         """Spell the unit as in a formula."""
-        return self._entry.symbol
+        return SUFFIXES[self.suffix].symbol
 
-    @property
-    def _entry(self) -> "Suffix":
-        if self.suffix not in SUFFIXES:
-            raise InputError("suffix", f"must be {join_names(SUFFIXES)}, got {self.suffix!r}")
-        return SUFFIXES[self.suffix]
+
+class Allow(NamedTuple):
+    """Mark of an annotation: numbers that need not be finite, NaN for what is absent or ∞."""
+
+    nan: bool = False
+    infinite: bool = False
+
+
+MAY_BE_NAN, MAY_BE_INFINITE = Allow(nan=True), Allow(infinite=True)
+ANY_NUMBER = Allow(nan=True, infinite=True)
 
 
 class Key(NamedTuple):

@@ -216,7 +216,7 @@ def test_constant_acceleration_gives_a_parabola(rng, axes):
 
 @pytest.mark.parametrize("axes", [0, 1, 4])
 def test_dimensions_other_than_2_and_3_are_refused(axes):
-    with pytest.raises(ValueError, match=f"2 or 3 axes, got {axes}"):
+    with pytest.raises(ValueError, match=f"axes: must be 2 or 3, got {axes}"):
         DoubleIntegrator(axes)
 
 

@@ -177,7 +177,7 @@ def test_full_box_is_refused_with_a_size_that_would_do(draw, box, full, rng):
         (0, (1.0, 1.0, 1.0), 1.0, "count: must be an integer above 0"),
         (3, (1.0, 1.0), 1.0, "three sides, got 2"),
         (3, (1.0, 0.0, 1.0), 1.0, "positive sides"),
-        (3, (1.0, 1.0, 1.0), -1.0, "separation must not be negative"),
+        (3, (1.0, 1.0, 1.0), -1.0, "separation: must be a finite number at least 0"),
         (3, (1.0, 1.0, 1.0), np.nan, "separation: must be a finite number"),
     ],
 )

@@ -22,7 +22,6 @@ from sato.connectivity.start import as_poses
 from sato.connectivity.stick import RecordedStick
 from sato.formation.settings import FrameSettings
 from sato.scenario.file import read_data
-from sato.scenario.overrides import list_settings
 from sato.shapes.formation_library import read_formation, read_graph
 from sato.shapes.shape import as_points
 
@@ -69,11 +68,14 @@ def listed(folder, text, **given):
         ("# y | x\n1 2\n3 4\n", [[2, 1], [4, 3]]),
         ("# flown 2 km away\ny_cm,x_m\n100,2\n", [[2, 1]]),
         ("0,1\n2,1\n", [[0, 1], [2, 1]]),
+        ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
+        ("0.0,1.5,2.5\n1.0,3.5,0.5\n", [[0, 1.5, 2.5], [1, 3.5, 0.5]]),
+        ("1,0,2\n0,0,2\n", [[1, 0, 2], [0, 0, 2]]),
     ],
 )
 def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
     points, count = listed(tmp_path, text), len(states)
-    axes = 3 if text.startswith("# z") else 2
+    axes = len(states[0]) if len(states[0]) < 4 else 2
     velocities = points.place_velocities(count, axes)
     placed = points.place(count, axes)
     found = placed if velocities is None else np.hstack([placed, velocities])
@@ -103,6 +105,12 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km'),
         ("# in mm\nx,y\n1,2\n", 'a comment has the unit "mm"'),
         ("x [m^-1],y\n1,2\n", "has the unit"),
+        ("0,1.5,2.5\n", "first column, 0, 1, …, may number the rows or be x; name the columns"),
+        ("0,1.5,2.5\n1,3.5,0.5\n", "id,x,y or x,y,z"),
+        ("0,3,5\n1,4,5\n2,5,5\n", "may number the rows"),
+        ("# x y\n# y x\n1 2\n3 4\n", 'two headers disagree; drop the comment "y x"'),
+        ("# y,x\nx,y\n1,2\n3,4\n", "two headers disagree"),
+        ("# x_km,y_km\nx_m,y_m\n1,2\n", "two headers disagree"),
     ],
 )
 def test_columns_that_cannot_be_obeyed_are_refused(tmp_path, text, message):
@@ -136,6 +144,21 @@ def test_recorded_sticks_and_graphs_are_read_by_their_names(tmp_path):
         file.write_text(f"{header}\n0,1\n1,2\n2,0\n")
         with pytest.raises(ValueError, match="a header such as vertex,neighbor would do"):
             read_graph(file, 3)
+
+
+@pytest.mark.parametrize(
+    ("text", "edges"),
+    [("0,1\n1,2\n2,0\n", 3), ("0,1\n2,1\n0,1\n0,2\n", 3), ("i,j\n2,1\n0,2\n", 2)],
+)
+def test_a_first_line_of_a_graph_is_an_edge_where_it_is_in_order(tmp_path, text, edges):
+    (file := tmp_path / "graph.csv").write_text(text)
+    assert read_graph(file, 3).sum() == 2 * edges
+
+
+def test_a_first_line_that_may_be_the_columns_of_a_graph_is_refused(tmp_path):
+    pd.DataFrame([[2, 1], [0, 2]]).to_csv(tmp_path / "graph.csv", index=False)
+    with pytest.raises(ValueError, match="0,1 may be names of the columns or an edge; name the"):
+        read_graph(tmp_path / "graph.csv", 3)
 
 
 # Quantities.
@@ -279,8 +302,8 @@ def test_overrides_may_be_a_dict_or_pairs(overrides):
 
 @pytest.mark.parametrize("overrides", [5, [5], [("agents",)], {5: 4}, "agents=4"])
 def test_overrides_of_another_kind_are_refused(overrides):
-    with pytest.raises(sato.InputError, match="overrides: must"):
-        list_settings(overrides)
+    with pytest.raises(sato.InputError, match=r"overrides(\.0)?: must"):
+        sato.run("random", overrides=overrides)
     with pytest.raises(ValueError, match="agents"):
         sato.run("random", overrides={"agents": {1, 2}})
 

@@ -138,9 +138,9 @@ def test_unequal_inclinations_add_the_stated_cross_track_growth(latitude):
         ({"radius": 6878.0}, "above the Earth's, 6378 km, .* in meters, got 6878"),
         ({"radius": np.nan}, "radius: must be a finite number, got nan"),
         ({"inclination": 45.0}, r"got 45 rad; .*45° would be 0\.785"),
-        ({"mu": 0.0}, "mu: must be positive"),
+        ({"mu": 0.0}, "mu: must be a finite number above 0"),
         ({"k_J2": 100 * K_J2}, r"small part of gravity.*of the Earth .* 2\.633e\+25"),
-        ({"k_J2": np.nan}, "k_J2: must be a finite number, got nan"),
+        ({"k_J2": np.nan}, "k_J2: must be a finite number at most .*, got nan"),
     ],
 )
 def test_invalid_orbits_are_refused(change, message):

@@ -140,7 +140,7 @@ def as_definition(model: AnyModel, chief: Chief | None) -> tuple[AnyModel, Chief
 def as_point_mass(model: Any) -> Any:
     """Convert a double integrator of the library to its definition; refuse a model by its axes."""
     check_axes(model)
-    return PointMass(model.axes) if type(model) is DoubleIntegrator else model  # type: ignore[arg-type]
+    return PointMass(model.axes) if type(model) is DoubleIntegrator else model
 
 
 def as_chief(value: Any) -> Any:

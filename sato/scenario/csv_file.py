@@ -7,6 +7,7 @@ Cells are separated by commas, semicolons, tabs or spaces. Empty lines, and line
 import csv
 import re
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,13 +50,15 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
         ValueError: The file cannot be read, or its columns are not those.
     """
     names, rows = read_rows(path, content, units)
-    if names is None and len(rows[0][1]) not in counts:
-        header = ",".join(units)
-        needed = f"{join_names(counts)} columns are needed, or a header such as {header}"
-        raise ValueError(f"{path}, line {rows[0][0]}: {needed}, got {len(rows[0][1])}")
     width = len(names or rows[0][1])
+    if names is None and width not in counts:
+        needed = f"{join_names(counts)} columns are needed, or a header such as {','.join(units)}"
+        raise ValueError(f"{path}, line {rows[0][0]}: {needed}, got {width}")
+    if names is None:
+        names = list(units)[:width]
+        _refuse_doubtful(path, [cells for _, cells in rows], names)
     try:
-        places = match_columns(names or list(units)[:width], units)
+        places = match_columns(names, units)
         values, lines = _read_numbers(path, rows, width, units)
         columns = {name: values[:, i] * (factor or 1.0) for name, (i, factor) in places.items()}
         if ID in columns:
@@ -65,6 +68,18 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
     except InputError as error:
         raise ValueError(f"{path}: {error}") from error
     return Table(columns, lines)
+
+
+def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> None:
+    """Refuse rows without a header whose first line, or first column, may be labels."""
+    header, numbered = ",".join(names), list(map(str, range(len(rows))))
+    first, others = rows[0], [cell for cells in rows[1:] for cell in cells]
+    if others and first == list(map(str, range(len(first)))) and all("." in c for c in others):
+        cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
+        raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
+    if header == "x,y,z" and [cells[0] for cells in rows] == numbered:
+        cure = "name the columns, id,x,y or x,y,z"
+        raise ValueError(f"{path}: the first column, 0, 1, …, may number the rows or be x; {cure}")
 
 
 def _read_numbers(
@@ -87,49 +102,62 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     A header is a first line without a number, or a comment above the rows that names columns.
 
     Raises:
-        ValueError: There is no such file, it is not text, or it has no rows.
+        ValueError: There is no such file, it is not text, it has no rows, or two headers disagree.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError as error:
         raise ValueError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
-    given = [(n, line) for n, line in enumerate(lines, start=1) if line.strip(" \t,;")]
-    is_told = bool(given) and re.fullmatch(r"sep=.", given[0][1].strip(), re.IGNORECASE)
-    written = [(n, line) for n, line in given[bool(is_told) :] if not _is_comment(line)]
-    if not written:
-        raise ValueError(f"{path} lists no {content}")
-    first = written[0][1]
-    between = given[0][1].strip()[-1] if is_told else next((c for c in ";\t," if c in first), " ")
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
+    told = re.fullmatch(r"\s*sep=(.)\s*", lines[0][1], re.IGNORECASE) if lines else None
+    written = [(n, line) for n, line in lines[bool(told) :] if not _is_comment(line)]
+    first = written[0][1] if written else ""
+    between = told[1] if told else next((mark for mark in ";\t," if mark in first), " ")
     rows = [(n, _split(line, between)) for n, line in written]
-    names, width = None, len(rows[0][1])
-    if not any(map(BEGIN.match, rows[0][1])):
-        (_, names), *rows = rows
-        if not rows:
-            raise ValueError(f"{path} lists no {content}")
-    numbered = list(map(str, range(width)))
-    decimals = [cell for _, cells in rows[1:] for cell in cells]
-    if names is None and rows[0][1] == numbered and decimals and all("." in c for c in decimals):
-        cure = f"name the columns, {','.join([*units][:width])}, or write {'.0,'.join(numbered)}.0"
-        raise ValueError(f"{path}: {','.join(numbered)} may be names or a point; {cure}")
-    notes = [line.lstrip("# \t") for n, line in given if n < rows[0][0] and _is_comment(line)]
-    for note in notes:
-        for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
-            if len(cells) != width or width == 1 or any(map(BEGIN.match, cells)):
-                continue
-            if all(cell in SUFFIXES for cell in cells):
-                cure = "they stand in the names of the columns, as in x_km"
-                raise ValueError(f"{path}: units have a line of their own; {cure}")
-            is_known = any(knows_name(cell, units) for cell in cells)
-            is_named = all(map((NAME if is_list else OTHER_AXES).fullmatch, cells))
-            if names is None and (is_known or is_named):
-                names = cells
-        found = OTHER_LENGTH.search(note)
-        if units and found and not any(re.search(r"[_\[(/]", name) for name in names or ()):
-            cure = f"numbers without a unit are meters; name columns as in x_{found[0]}"
-            raise ValueError(f'{path}: a comment has the unit "{found[0]}", and {cure}')
-    return names, _with_points(path, rows)
+    is_header = bool(rows) and not any(map(BEGIN.match, rows[0][1]))
+    names = rows.pop(0)[1] if is_header else None
+    if not rows:
+        raise ValueError(f"{path} lists no {content}")
+    width = len(names or rows[0][1])
+    notes = [line.lstrip("# \t") for n, line in lines if n < rows[0][0] and _is_comment(line)]
+    try:
+        for note in notes:
+            noted = _find_names(note, between, width, units)
+            meanings = [_find_meaning(header, units) for header in (names, noted)]
+            if None not in meanings and meanings[0] != meanings[1]:
+                raise InputError("", f'two headers disagree; drop the comment "{note}"')
+            names = names or noted
+            unit = OTHER_LENGTH.search(note)
+            if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
+                cure = f"numbers without a unit are meters; name columns as in x_{unit[0]}"
+                raise InputError("", f'a comment has the unit "{unit[0]}", and {cure}')
+        return names, _with_points(rows)
+    except InputError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _find_names(note: str, between: str, width: int, units: Units) -> list[str] | None:
+    """Find the names of columns in a comment; None where it has other words."""
+    for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
+        if len(cells) != width or width == 1 or any(map(BEGIN.match, cells)):
+            continue
+        if all(cell in SUFFIXES for cell in cells):
+            cure = "they stand in the names of the columns, as in x_km"
+            raise InputError("", f"units have a line of their own; {cure}")
+        is_known = any(knows_name(cell, units) for cell in cells)
+        if is_known or all(map((NAME if is_list else OTHER_AXES).fullmatch, cells)):
+            return cells
+    return None
+
+
+def _find_meaning(names: list[str] | None, units: Units) -> dict[str, tuple[int, float]] | None:
+    """Find the places and units of columns; None where their names are not known."""
+    with suppress(InputError):
+        places = match_columns(names or [], units).items()
+        return {name: (place, factor or 1.0) for name, (place, factor) in places}
+    return None
 
 
 def _is_comment(line: str) -> bool:
@@ -140,19 +168,20 @@ def _split(line: str, between: str) -> list[str]:
     try:
         cells = line.split() if between == " " else next(csv.reader([line], delimiter=between))
     except csv.Error as error:
-        raise ValueError(f"a line of the CSV file cannot be read: {error}") from error
+        raise InputError("", f"a line of the CSV file cannot be read: {error}") from error
     cells = [cell.strip() for cell in cells]
     while len(cells) > 1 and not cells[-1]:  # of a separator at the end
         cells.pop()
     return cells
 
 
-def _with_points(path: Path, rows: list[Row]) -> list[Row]:
+def _with_points(rows: list[Row]) -> list[Row]:
     # "1,5" may be a number where commas do not separate cells.
     listed = [cell for _, cells in rows for cell in cells]
     if not any("," in cell for cell in listed) or re.search(r"[^\d.,e+-]", "".join(listed), re.I):
         return rows
     if not all(map(WITH_COMMA.fullmatch, listed)) or all(map(THOUSANDS.fullmatch, listed)):
         example = next(cell for cell in listed if "," in cell)
-        raise ValueError(f"{path}: {example} may be a decimal or thousands; write a decimal point")
+        reason = f"{example} may be a decimal or thousands"
+        raise InputError("", f"{reason}; write a decimal point")
     return [(line, [cell.replace(",", ".") for cell in cells]) for line, cells in rows]

@@ -31,7 +31,11 @@ class Mission(Definition):
 
     system: ClassVar[str]
     callbacks: ClassVar = {
-        "draw": Callback("rng", lambda own, given, drawn: _check_drawn(own, drawn), InputError),
+        "draw": Callback(
+            "rng",
+            lambda own, given, drawn: as_kind(drawn, type(own), f"a {type(own).__name__}, drawn"),
+            InputError,
+        ),
         "warnings": Callback("", lambda own, given, value: as_kind(value, list, "a list of text")),
     }
 
@@ -86,10 +90,6 @@ def describe_own(text: str) -> str:
     whose = "of your own" if is_own else "of Python, which no file holds"
     given = f"{verb} {whose}; sato.load(path, mission=...) gives {them}"
     return f"{join_names(found, 'and')} {given}" if found else ""
-
-
-def _check_drawn(mission: Mission, drawn: Any) -> Any:
-    return as_kind(drawn, type(mission), f"a {type(mission).__name__}, drawn")
 
 
 def scenarios() -> dict[str, str]:
@@ -234,10 +234,8 @@ def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]
     for setting in overrides:
         address = override(data, setting, definition)
         with errors_in(address):
-            if isinstance(setting, str):
-                written.append(f"{address} = {setting.partition('=')[2].strip()}")
-            else:
-                written.append(f"{address} = {write_value(setting[1])}")
+            told = setting.partition("=")[2].strip() if isinstance(setting, str) else None
+            written.append(f"{address} = {write_value(setting[1]) if told is None else told}")
     return tuple(written)
 
 

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from pydantic import TypeAdapter
+
 from sato.scenario.errors import ScenarioError
 from sato.scenario.file import read, scenarios, spell_out
 from sato.scenario.overrides import Setting
@@ -30,14 +32,8 @@ class Origin(NamedTuple):
     @classmethod
     def from_json(cls, text: str) -> "Origin":
         """Read what `to_json` wrote; a `ValueError` refuses anything else."""
-        match json.loads(text):
-            case {
-                "kind": "built-in" | "file" | "python" as kind,
-                "name": str(name),
-                "overrides": list(overrides),
-            }:
-                return cls(kind, name, tuple(overrides))
-        raise ValueError(f"must be the origin of a scenario, got {text}")
+        found: Origin = TypeAdapter(cls).validate_json(text)
+        return found
 
     def to_json(self) -> str:
         """Write the origin for the attributes of a run file."""

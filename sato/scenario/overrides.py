@@ -42,23 +42,9 @@ class Spot(NamedTuple):
 Setting = str | tuple[str, Any]
 
 
-def list_settings(overrides: Any) -> tuple[Setting, ...]:
-    """List overrides, texts or pairs of key and value, or a dict of these.
-
-    Raises:
-        InputError: They are something else.
-    """
-    if isinstance(overrides, str):
-        reason = f'must be a list of texts, got {format_value(overrides)}; ["{overrides}"] would do'
-        raise InputError("overrides", reason)
-    settings = overrides.items() if isinstance(overrides, Mapping) else overrides
-    listed = list(settings) if isinstance(settings, Iterable) else [overrides]
-    for setting in listed:
-        is_pair = isinstance(setting, tuple | list) and len(setting) == 2
-        if not isinstance(setting[0] if is_pair else setting, str):
-            wanted = 'texts "table.key=value", or keys and values'
-            raise InputError("overrides", f"must be {wanted}, got {format_value(setting)}")
-    return tuple(one if isinstance(one, str) else (one[0], one[1]) for one in listed)
+def list_settings(overrides: Iterable[Setting] | Mapping[str, Any]) -> tuple[Setting, ...]:
+    """List overrides, texts or pairs of key and value, or a dict of these."""
+    return tuple(overrides.items() if isinstance(overrides, Mapping) else overrides)
 
 
 def write_value(value: Any) -> str:

@@ -18,7 +18,7 @@ from dynamics.inputs import InputError
 from problems.desired_formation import DesiredFormation
 from sato.scenario.csv_file import read_rows
 from sato.scenario.errors import join_names
-from sato.shapes.shape import read_points
+from sato.shapes.shape import read_states
 
 LIBRARY_FILE = Path(__file__).with_name("formations.toml")
 VERTEX = re.compile(  # names of the two columns of a list of edges
@@ -94,7 +94,9 @@ def read_formation(path: str | Path) -> DesiredFormation:
         ValueError: The file cannot be read, or its points make no formation.
     """
     path = Path(path)
-    points = read_points(path)
+    points, velocities = read_states(path)
+    if velocities is not None:
+        raise ValueError(f"{path}: has velocities, and these points are at rest; drop its vx")
     try:
         return make_formation(points, name=path.stem)
     except ValueError as error:
@@ -136,7 +138,8 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
 
     Neither the order of the two matters nor an edge that is repeated. A first line may name the
-    two columns, vertex,neighbor or i,j. The count is that of vertices.
+    two columns, vertex,neighbor or i,j. Without it, a first line 0,1 is an edge where the lines
+    are sorted, and refused elsewhere. The count is that of vertices.
 
     Raises:
         ValueError: The file cannot be read, or a line is not an edge between two of the vertices.
@@ -164,6 +167,11 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
         if i == j:
             raise ValueError(f"{where}: vertex {i} cannot be its own neighbor; drop the line")
         edges.append((i, j))
+    _, *others = edges
+    is_doubtful = names is None and edges[0] == (0, 1) and others != sorted(others)
+    if is_doubtful and not {(0, 1), (1, 0)} & {*others}:
+        cure = "name the columns, vertex,neighbor, or sort the lines"
+        raise ValueError(f"{path}: 0,1 may be names of the columns or an edge; {cure}")
     return graph_from_edges(count, np.array(edges, dtype=int).reshape(-1, 2))
 
 
@@ -214,11 +222,10 @@ def random_sparse_graph(
     np.fill_diagonal(graph, False)
     least, edges = int(graph.sum()) // 2, round(share * complete)
     if not least <= edges <= complete:
-        raise ValueError(
-            f"a share of {share:g} of the {complete} edges between {n} points makes {edges}, and "
-            f"the graph needs {least} to have stabilizing gains and has {complete} at most: "
-            f"{ceil(1e4 * least / complete) / 1e4:g} to 1 would do"
-        )
+        found = f"a share of {share:g} of the {complete} edges between {n} points makes {edges}"
+        needed = f"{least} to have stabilizing gains and has {complete} at most"
+        cure = f"{ceil(1e4 * least / complete) / 1e4:g} to 1 would do"
+        raise ValueError(f"{found}, and the graph needs {needed}: {cure}")
     i, j = np.nonzero(np.triu(~graph, 1))
     added = rng.choice(len(i), size=edges - least, replace=False)
     graph[i[added], j[added]] = graph[j[added], i[added]] = True

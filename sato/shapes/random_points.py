@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from math import ceil, pi
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
-from sato.scenario.definition import Amount
+from sato.scenario.definition import Amount, NotNegative
 
+Separation = Annotated[float, NotNegative]  # [m]
 MAX_REJECTIONS = 10_000  # successive rejections after which there is taken to be no room
 PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sampling stays quick
 
@@ -48,7 +50,11 @@ def sample_separated(
 
 @checked
 def sample_positions(
-    count: Amount, box: Sequence[float], separation: float, rng: np.random.Generator, axes: int = 0
+    count: Amount,
+    box: Sequence[float],
+    separation: Separation,
+    rng: np.random.Generator,
+    axes: int = 0,
 ) -> Float[Array, "count d"]:
     """Draw positions with a least distance in a box of two or three sides from the origin on [m].
 
@@ -60,8 +66,6 @@ def sample_positions(
     """
     if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
         raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
-    if not separation >= 0:
-        raise ValueError(f"the separation must not be negative, got {separation} m")
     sides, d = np.array(box, dtype=float), axes or len(box)
     occupied = np.empty((0, len(box)))
     try:
@@ -73,15 +77,14 @@ def sample_positions(
         grow = max(1.1, (needed / sides[:d].prod()) ** (1 / d))
         larger = [ceil(side * 10) / 10 for side in [*(grow * sides[:d]), *sides[d:]]]
         shown, cure = (" × ".join(f"{side:g}" for side in each) for each in (sides, larger))
-        raise ValueError(
-            f"a box of {shown} m is full after {full.placed_count} of {count} points "
-            f"{separation:g} m apart; {cure} m would do, or fewer points, or a smaller separation"
-        ) from full
+        found = f"{full.placed_count} of {count} points {separation:g} m apart"
+        cure = f"{cure} m would do, or fewer points, or a smaller separation"
+        raise ValueError(f"a box of {shown} m is full after {found}; {cure}") from full
 
 
 @checked
 def sample_formation(
-    count: Amount, box: Sequence[float], separation: float, rng: np.random.Generator
+    count: Amount, box: Sequence[float], separation: Separation, rng: np.random.Generator
 ) -> Float[Array, "count 3"]:
     """Draw points with a least horizontal distance in a box of three sides from the origin on [m].
 

@@ -277,15 +277,3 @@ def read_states(path: Path) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | 
             both = f"lines {lines[same[0]]} and {lines[k]}"
             raise ValueError(f"{path}: {both} are the same point; two agents cannot share it")
     return points, states[:, d:] if states.shape[1] > d else None
-
-
-def read_points(path: Path) -> Float[Array, "k d"]:
-    """Read the positions of a CSV file [m], as `read_states` does; refuse velocities.
-
-    Raises:
-        ValueError: They cannot be read, or have velocities.
-    """
-    points, velocities = read_states(path)
-    if velocities is not None:
-        raise ValueError(f"{path}: has velocities, and these points are at rest; drop its vx")
-    return points
