@@ -211,15 +211,7 @@ def convexify_end(
     normal: Float[Array, "others pieces d"],
     separation: Float[Array, " others"],
 ) -> HalfSpaces:
-    """Constrain where an agent comes to rest, while others move on to the end of the horizon.
-
-    Args:
-        horizon: Avoidance horizon and its pieces.
-        T: Steps after which the agent rests.
-        others: Control points c̄ of the others [m].
-        normal: Unit normals n of the half-spaces.
-        separation: Required distances.
-    """
+    """Constrain where an agent rests after T steps, while others move on over the horizon."""
     P, Q, r = (part[T - 1, -1, -1] for part in horizon.control_point_maps)
     later = slice(T * horizon.pieces_per_step, None)
     n = normal[:, later]
@@ -285,12 +277,8 @@ def across_motion(
 ) -> Float[Array, " d"]:
     """Return the unit vector to a side of an obstacle, across the motion past it.
 
-    Of several obstacles all are passed above, or all below.
-
-    Args:
-        piece: Piece of the relative trajectory that is nearest [m].
-        nearest: Its vector from the obstacle, 0 where it is inside [m].
-        side: Side.
+    The piece is the nearest, and its vector from the obstacle is 0 inside [m]. Of several
+    obstacles all are passed above, or all below.
     """
     size = float(np.linalg.norm(nearest))
     across = nearest / size if size > 0 else _perpendicular(piece)

@@ -38,12 +38,7 @@ class FuelProgram:
     """
 
     def __init__(self, weights: Float[Array, " n"], penalty: float = inf) -> None:
-        """Begin without rows, with all controls zero.
-
-        Args:
-            weights: w, positive, of the order of 1.
-            penalty: P; infinite where σ is zero.
-        """
+        """Begin without rows, with controls of zero; an infinite penalty P keeps σ at zero."""
         n = len(weights) + 1
         controls, slack = [-FAR, -1.0, 0.0, 1.0, FAR], [-FAR, 0.0, FAR, FAR, FAR]
         self._kinks = np.vstack([np.tile(controls, (n - 1, 1)), slack])

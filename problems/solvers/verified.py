@@ -97,9 +97,6 @@ class VerifiedSolver:
         is asked for the least violation too, whose duals are one; the default solver wherever it
         fails. An exception of a library is a failure, with the message as its reason; so is that
         of a solver of the user's own, which is counted too.
-
-        Raises:
-            ValueError: The solver is not installed, or cannot take the program.
         """
         adapter = ADAPTERS[0] if self._name == DEFAULT_SOLVER else load_adapters()[self._name]
         is_open = self._last is not None and problem.differs_in_b_only(self._last[0])

@@ -48,11 +48,7 @@ def list_settings(overrides: Iterable[Setting] | Mapping[str, Any]) -> tuple[Set
 
 
 def write_value(value: Any) -> str:
-    """Write a value of a setting as TOML, in one line.
-
-    Raises:
-        InputError: TOML has no such value.
-    """
+    """Write a value of a setting as TOML, in one line."""
     if isinstance(value, dict):
         rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
         return f"{{{rows}}}"
@@ -105,14 +101,7 @@ def _copied(address: str, value: Any) -> Any:
 
 
 def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:
-    """Return the places that a setting of a key, in any unit, changes; arguments as `override`.
-
-    Returns:
-        Path of each table, and the name of the key there, which is the same in all units.
-
-    Raises:
-        InputError: There is no such key, or there is one in several tables.
-    """
+    """Return the places that a setting of a key, in any unit, changes: table and key."""
     key = address.split(".")[-1]
     holders = _find_holders(data, address, definition)
     return {(spot.path, str(find_key(key, spot.entries))) for spot in holders}

@@ -234,9 +234,6 @@ def as_points(value: Any) -> Any:
     """Convert an array of positions or states to `Points`; leave anything else as it is.
 
     Rows have 2 or 3 coordinates, or 4 or 6: positions, then velocities.
-
-    Raises:
-        InputError: It is an array of another shape.
     """
     value = to_plain(value, "m", STATES)
     if not isinstance(value, Array | list | tuple):
@@ -256,9 +253,6 @@ def read_states(path: Path) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | 
     A header names the columns, in any order and unit: x, y and z, vx, vy and vz, and the number
     id of each row, by which the rows are sorted. Without one, two or three columns are x, y and z
     in meters.
-
-    Raises:
-        ValueError: The file cannot be read, a line is not a point, or two points coincide.
     """
     columns, lines = read_columns(path, "points", STATES, (2, 3))
     states = np.stack(list(columns.values()), axis=1)
