@@ -41,10 +41,7 @@ def try_generating(transfer: TransferProblem, solver: Solver, *rest: Any) -> Tra
     """Return what `generate_constraints` finds, for its further arguments.
 
     None where norms are not linear, where a solver was chosen, and where the method stops without
-    an answer, which counts as a fallback to the conic solver.
-
-    Raises:
-        Infeasible: No trajectory satisfies the constraints that must hold.
+    an answer, which counts as a fallback to the conic solver; raises `Infeasible`.
     """
     if not isinstance(solver, VerifiedSolver) or not can_generate(transfer, solver):
         return None

@@ -174,15 +174,8 @@ def convexify(
 ) -> HalfSpaces:
     """Constrain n·(P x + Q u + r − c̄) ≥ R for every movable control point [Morgan2016, eq. 64].
 
-    Args:
-        horizon: Avoidance horizon and its pieces.
-        T: Steps that the agent has left; after them it coasts.
-        others: Control points c̄ of the other agents [m].
-        normal: Unit normals n of the half-spaces, see `choose_normals`.
-        separation: Required distances; that of the horizon by default.
-
-    Raises:
-        InputError: There are fewer pieces than the steps have.
+    The agent has T steps left, and coasts after them. The points c̄ are those of the others [m],
+    the normals n are of `choose_normals`; by default the separation is that of the horizon.
     """
     P, Q, r = (part[:T] for part in horizon.control_point_maps)
     required = horizon.required_separation if separation is None else separation

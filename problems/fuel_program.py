@@ -63,12 +63,8 @@ class FuelProgram:
     ) -> None:
         """Add rows coeffs · u + offset ≥ 0, or = 0.
 
-        Args:
-            coeffs: Entries of each row.
-            offset: Constant of each row.
-            penalty: Of the error of each equation; None for inequalities.
-            is_relaxed: True where inequalities may be violated by σ.
-            room: Margin that was subtracted from each offset.
+        A penalty is of the error of each equation, None for inequalities, which σ may violate if
+        relaxed. The room is a margin that was subtracted from each offset.
         """
         kinks = [-FAR, 0.0, FAR if penalty is None else 0.0, FAR, FAR]
         penalty = np.full(len(coeffs), inf) if penalty is None else penalty

@@ -37,13 +37,8 @@ def formation_names() -> tuple[str, ...]:
 def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> DesiredFormation:
     """Load a formation of the library, with its own graph or the complete one.
 
-    Args:
-        name: One of `formation_names()`, in any case; the part before or after the slash is
-            enough where only one name has it.
-        graph: "own" or "complete"; the own graph of most formations is complete.
-
-    Raises:
-        ValueError: The library has no such name; the message lists similar ones.
+    Names are those of `formation_names()`, in any case; the part before or after the slash is
+    enough where only one name has it. The own graph of most formations is complete.
     """
     full_name = _match_name(name)
     entry = _load_library()[full_name]
