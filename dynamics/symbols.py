@@ -102,6 +102,13 @@ def is_symbolic(*values: object) -> bool:
     return any(isinstance(v, kinds) for v in values)
 
 
+def has_symbols(value: object) -> bool:
+    """Return True for a symbol, an expression of CasADi, and an array with one of them."""
+    if isinstance(value, Array) and value.dtype == object:
+        return any(map(has_symbols, value.ravel().tolist()))
+    return isinstance(value, Symbol) or is_symbolic(value)
+
+
 def to_array(matrix: Any) -> Array:
     """Return a matrix of CasADi as an array of floats, or of symbols if it is an expression."""
     import casadi

@@ -316,6 +316,14 @@ class Verification(NamedTuple):
     reason: str
     ray: Float[Array, " m"] | None = None  # the verified certificate of infeasibility
 
+    def require(self, problem: ConicProgram) -> ConicSolution:
+        """Return the solution of a program; raise `Infeasible`, or `Unsolved` if it is neither."""
+        if self.kind == "infeasible":
+            raise Infeasible(problem, self.reason, self.ray)
+        if self.solution is None or self.kind != "solved":
+            raise Unsolved(problem, self.reason)
+        return self.solution
+
 
 @checked
 def verify(
@@ -377,15 +385,5 @@ Solver = Callable[[ConicProgram], SolverResult]
 
 
 def solve(problem: ConicProgram, solver: Solver) -> ConicSolution:
-    """Solve, and verify the solution before returning it.
-
-    Raises:
-        Infeasible: No point satisfies every constraint, with a verified certificate.
-        Unsolved: The solver stopped, or its solution or certificate fails verification.
-    """
-    kind, solution, reason, ray = verify(problem, solver(problem), TOLERANCE)
-    if kind == "infeasible":
-        raise Infeasible(problem, reason, ray)
-    if solution is None or kind != "solved":
-        raise Unsolved(problem, reason)
-    return solution
+    """Solve, and verify the solution; raise what `Verification.require` does."""
+    return verify(problem, solver(problem), TOLERANCE).require(problem)

@@ -200,7 +200,4 @@ def ask(solver: Any, program: ConicProgram) -> ConicSolution:
         return SolverResult("solved", name, x, y)
 
     result = call(name, solver, deepcopy(program), passes=passes, check=check)
-    kind, solution, reason, _ = verify(program, result, TOLERANCE)
-    if solution is None or kind != "solved":
-        raise Unsolved(program, reason)
-    return solution
+    return verify(program, result, TOLERANCE).require(program)

@@ -13,9 +13,7 @@ from problems.conic import (
     TOLERANCE,
     ConicProgram,
     ConicSolution,
-    Infeasible,
     SolverResult,
-    Unsolved,
     Verification,
     verify,
     verify_ray,
@@ -70,11 +68,7 @@ class VerifiedSolver:
             found = VerifiedSolver().answer(problem)
             both = f"{self.last_rejection}; {DEFAULT_SOLVER}: {found.reason}"
             found = found._replace(reason=both)
-        if found.kind == "infeasible":
-            raise Infeasible(problem, found.reason, found.ray)
-        if found.solution is None or found.kind != "solved":
-            raise Unsolved(problem, found.reason)
-        return found.solution
+        return found.require(problem)
 
     def count_fallback(self, reason: str) -> None:
         """Count a program that is given to the default solver, and keep the reason."""
