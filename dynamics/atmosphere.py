@@ -56,11 +56,7 @@ class Atmosphere:
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":
-        """Take the row of [Vallado2013, table 8-4] for an altitude [m].
-
-        Raises:
-            ValueError: The altitude is below the table, where no spacecraft stays in orbit.
-        """
+        """Take the row of [Vallado2013, table 8-4] for an altitude [m], from 150 km on."""
         below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:
             reason = f"the table begins at {DENSITY_TABLE[0][0]} km, and no spacecraft can stay"
@@ -78,9 +74,7 @@ class Atmosphere:
     def drag_acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars) -> Vectors:
         """Return −½ ρ B |v| v, with v the velocity relative to the rotating air [m/s²].
 
-        Args:
-            state: Inertial positions and velocities [m, m/s].
-            ballistic_coefficient: B = C_D A/m [m²/kg].
+        States are inertial positions and velocities [m, m/s], and B = C_D A/m [m²/kg].
         """
         position, relative = state[..., :3], state[..., 3:].copy()
         relative[..., 0] += self.rotation_rate * position[..., 1]

@@ -57,10 +57,7 @@ def oblateness(J2: float, mu: float, radius: float) -> float:
 def complete_gravity(value: Any) -> None:
     """Set k_J2 and body_radius of a frozen value to those of the body with its mu, if not given.
 
-    A radius of 0 is not known: nothing hits the surface.
-
-    Raises:
-        ValueError: No body has this mu, and k_J2 is not given, or it is that of another body.
+    A radius of 0 is not known: nothing hits the surface. A mu of no known body needs k_J2.
     """
     mu, k, radius = value.mu, value.k_J2, value.body_radius
     body = find_body(mu)

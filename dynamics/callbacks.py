@@ -19,7 +19,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from dynamics.inputs import InputError, check_finite, read_array
-from dynamics.symbols import Symbol, is_symbolic
+from dynamics.symbols import has_symbols
 
 LIBRARY = ("dynamics", "problems", "sato")
 # Beginnings of the names of files that are not the user's.
@@ -170,7 +170,7 @@ def _guard_method(name: str, method: Any, callback: Callback) -> Any:
         given = dict(zip(callback.parameters.split(), arguments, strict=False)) | options
         # A call of `super()` is checked by what calls it.
         is_inner = getattr(getattr(self, name), "__func__", None) is not guarded
-        if is_inner or any(map(_has_symbols, given.values())):
+        if is_inner or any(map(has_symbols, given.values())):
             return bound(*arguments, **options)
         time = given.get("t")
         when = f"(t={float(time):.6g})" if isinstance(time, float | int | np.floating) else ""
@@ -206,8 +206,3 @@ def protect(value: Any) -> Any:
     """Return a copy of an array that cannot be written to; other values as they are."""
     is_numeric = isinstance(value, Array) and value.dtype != object
     return freeze(value.copy()) if is_numeric else value
-
-
-def _has_symbols(value: Any) -> bool:
-    is_array = isinstance(value, Array) and value.dtype == object
-    return is_array or isinstance(value, Symbol) or is_symbolic(value)

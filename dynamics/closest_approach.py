@@ -24,11 +24,8 @@ def closest_approaches(
 ) -> tuple[Float[Array, " pieces"], Float[Array, " pieces"]]:
     """Return the least distance of pieces from the origin, and its fraction of the piece.
 
-    The distance is exact for the nearest of each group; of others it may be infinite.
-
-    Args:
-        relative: Bézier points of each piece.
-        group: Number of the group of each piece, from 0.
+    Pieces are Bézier points. The distance is exact for the nearest of each group; of others it may
+    be infinite.
     """
     c = np.einsum("qid,qjd,ijk->qk", relative, relative, _PRODUCTS, optimize=True)
     value, fraction = np.minimum(c[:, 0], c[:, 6]), np.where(c[:, 0] <= c[:, 6], 0.0, 1.0)

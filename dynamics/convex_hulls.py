@@ -82,13 +82,7 @@ def _normals_to(b: Hulls, order: int) -> Float[Array, "hulls c d"]:
 def are_outside(
     points: Hulls, radius: Float[Array, " hulls"], is_exact: bool
 ) -> Bool[Array, " hulls"]:
-    """Return True where a hull, or else a ball about it, is outside a circle about the origin.
-
-    Args:
-        points: Corners of each hull.
-        radius: Radius of the circle.
-        is_exact: True where hulls are to be compared, False for balls about their means.
-    """
+    """Return True where a hull, or a ball about it if not exact, is outside a circle about 0."""
     middle = np.einsum("qkd->qd", points) / points.shape[1]
     away = points - middle[:, None]
     extent = np.sqrt(reduce(np.maximum, np.einsum("qkd,qkd->kq", away, away)))
@@ -104,15 +98,10 @@ def body_distances(
     corners: Float[Array, "bodies corners d"],
     body: Int[Array, " hulls"],
 ) -> tuple[Float[Array, " hulls"], Float[Array, "hulls d"]]:
-    """Return the distance of hulls of points from bodies, and the vector of that length.
+    """Return the distance of hulls of points from bodies, hulls of corners, and its vector.
 
     The vector leads from the nearest point of the body to that of the hull. No distance is above
     the true one.
-
-    Args:
-        points: Corners of each hull.
-        corners: Corners of each body, of which it is the hull.
-        body: Index of the body of each hull.
     """
     is_point = (corners == corners[:, :1]).all(axis=(1, 2))
     if is_point.all():

@@ -64,12 +64,7 @@ class LVLH:
 
     @classmethod
     def from_polar_nodal(cls, chief: Float[Array, "*k 6"], k_J2: float) -> "LVLH":
-        """Construct the frame from polar-nodal elements, under two-body gravity and J2.
-
-        Args:
-            chief: Polar-nodal elements, as `Orbit.elements_at` returns them.
-            k_J2: Strength of the oblateness, 0 for Keplerian motion [m⁵/s²].
-        """
+        """Construct the frame from polar-nodal elements, under two-body gravity and J2."""
         state, rates = inertial_state(chief), lvlh_rates(chief, k_J2)
         omega = np.stack([rates.omega_x, np.zeros_like(rates.omega_x), rates.omega_z], axis=-1)
         return cls(state, _axes_from_angles(chief), omega)
@@ -115,11 +110,8 @@ class LVLH:
 def to_polar_nodal(state: Float[Array, "*k 6"]) -> Float[Array, "*k 6"]:
     """Convert inertial states to polar-nodal elements.
 
-    An equatorial orbit has no node; Ω = 0 is used. The argument of latitude lies between
-    −π and π.
-
-    Raises:
-        ValueError: The motion is rectilinear, so that there is no orbital plane.
+    Rectilinear motion has no orbital plane, and is refused. An equatorial orbit has no node; Ω = 0
+    is used. The argument of latitude lies between −π and π.
     """
     r, h = radius_and_momentum(state)
     position, velocity = state[..., :3], state[..., 3:]
@@ -154,11 +146,7 @@ def orbit_axes(state: Float[Array, "*k 6"]) -> Float[Array, "*k 3 3"]:
 
 
 def radius_and_momentum(state: OrbitStates) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
-    """Return the radius and the specific angular momentum of inertial states.
-
-    Raises:
-        ValueError: A state is not finite, or its motion is rectilinear.
-    """
+    """Return the radius and the specific angular momentum; refuse rectilinear motion."""
     r = np.linalg.norm(state[..., :3], axis=-1)
     h = np.linalg.norm(_cross(state[..., :3], state[..., 3:]), axis=-1)
     if not (np.isfinite(h).all() and (h > 0).all()):

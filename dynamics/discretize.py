@@ -90,11 +90,7 @@ class DiscreteModel:
         return DiscreteModel(self.A[agent], self.B[agent], self.z[agent], self.dt)
 
     def respond(self, shares: Float[Array, " m"] | float = 1.0) -> Float[Array, "instants n Tm"]:
-        """Return the matrices that take all controls, step by step, to changes of the states.
-
-        Args:
-            shares: Units of the controls, of each axis.
-        """
+        """Return the matrices that take all controls, in units of shares, to changes of states."""
         if self.B.ndim > 3:
             raise InputError("agent", "each agent has matrices; for_agent(i).respond() would do")
         T, n, m = self.B.shape

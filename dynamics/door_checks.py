@@ -28,7 +28,7 @@ from dynamics.inputs import (
     read_array,
 )
 from dynamics.labels import to_plain
-from dynamics.symbols import Symbol, is_symbolic
+from dynamics.symbols import Symbol, has_symbols
 from dynamics.units import Allow, Unit
 
 LIMITS: dict[type, tuple[str, str, Any]] = {
@@ -369,7 +369,7 @@ def _check_array(hint: Any, numbers: NumberRule) -> Check:
     dims, takes_symbols = hint.dim_str.split(), "object_" in hint.dtypes
 
     def check(value: Any, sizes: Sizes) -> Any:
-        if takes_symbols and _has_symbols(value):
+        if takes_symbols and has_symbols(value):
             return value
         is_plain = type(value) is Array and value.dtype == dtype and value.flags.c_contiguous
         plain = value if is_plain else to_plain(value, numbers.unit)
@@ -404,13 +404,6 @@ def _read_numbers(value: Any) -> Any:
     with suppress(InputError):
         return read_array(value, "biuf")
     return None
-
-
-def _has_symbols(value: Any) -> bool:
-    if is_symbolic(value) or isinstance(value, Symbol):
-        return True
-    is_array = type(value) is Array and value.dtype == object
-    return is_array and any(isinstance(v, Symbol) or is_symbolic(v) for v in value.ravel())
 
 
 def describe(value: Any) -> str:

@@ -60,15 +60,9 @@ class Forces:
 
         The difference of two accelerations would lose most digits of two-body gravity, which
         changes by 1e-4 of itself in a kilometer. Encke's form keeps all of them
-        [Vallado2013, Sec. 8.3], with r the deputy's distance and R the chief's:
+        [Vallado2013, Sec. 8.3], with r the deputy's distance, R the chief's and d the offset:
 
             μ R/R³ − μ r/r³ = −μ/R³ (d − F r),  F = 1 − (1 + q)^(−3/2),  q = d·(d + 2R)/R²
-
-        Args:
-            chief: Inertial state of the chief.
-            offset: States of the deputies minus that of the chief.
-            ballistic_coefficient: Of the deputies, one for all or one each.
-            chief_ballistic_coefficient: Of the chief.
         """
         R, d = chief[:3], offset[..., :3]
         R2 = float(R @ R)
@@ -85,12 +79,7 @@ class Forces:
     def broadcast_ballistic_coefficients(
         self, ballistic_coefficient: Scalars | None, count: int
     ) -> Float[Array, " {count}"]:
-        """Return a ballistic coefficient for each of so many agents, 0 without atmosphere.
-
-        Raises:
-            ValueError: `validate_ballistic_coefficients` refuses them, or their number is
-                neither one nor that of the agents.
-        """
+        """Return a ballistic coefficient for each of so many agents, 0 without atmosphere."""
         self.validate_ballistic_coefficients(ballistic_coefficient)
         if self.atmosphere is None or ballistic_coefficient is None:
             return np.zeros(count)
@@ -101,12 +90,7 @@ class Forces:
         return np.broadcast_to(np.asarray(ballistic_coefficient, dtype=float), (count,))
 
     def validate_ballistic_coefficients(self, ballistic_coefficient: Scalars | None) -> None:
-        """Check that there are ballistic coefficients where there is an atmosphere.
-
-        Raises:
-            ValueError: An atmosphere without coefficients, nonzero coefficients without an
-                atmosphere, or a negative coefficient.
-        """
+        """Check that ballistic coefficients are there where, and only where, there is air."""
         given = np.asarray(0.0 if ballistic_coefficient is None else ballistic_coefficient)
         if ballistic_coefficient is None and self.atmosphere is not None:
             reason = "drag needs the ballistic coefficient C_D A/m of every agent and of the chief"

@@ -44,11 +44,7 @@ def is_marked(value: Any) -> bool:
 
 
 def as_array(value: Any, ndim: int) -> Array:
-    """Convert to a read-only array of finite doubles.
-
-    Raises:
-        InputError: It is masked, complex or not numeric, has other axes, or is not finite.
-    """
+    """Convert to a read-only array of finite doubles; an `InputError` refuses anything else."""
     array = read_array(value)
     if array.ndim != ndim or array.size == 0:
         raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
@@ -58,15 +54,7 @@ def as_array(value: Any, ndim: int) -> Array:
 
 
 def read_array(value: Any, kinds: str = "iuf") -> Array:
-    """Convert to a new array, of any shape.
-
-    Args:
-        value: Array, numbers, or nested lists of numbers.
-        kinds: Kinds of numbers that are wanted, as `numpy.dtype.kind` has them.
-
-    Raises:
-        InputError: It is masked, has rows of several lengths, or numbers of another kind.
-    """
+    """Convert to a new array, of any shape and of kinds as `numpy.dtype.kind` has them."""
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
     wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")

@@ -95,10 +95,7 @@ def _compute_axes(orbit: Orbit, times: Array) -> _Axes:
 def gravity_acceleration(R: Vectors, pole: Vectors, orbit: Orbit) -> Vectors:
     """Return the gravity of the oblate body, g = −η² R − ζ s [m/s²].
 
-    Args:
-        R: Position from the center of the body, in any axes [m].
-        pole: s, the unit vector along the body's axis, in the same axes.
-        orbit: Orbit with the gravitational parameters.
+    R leads from the center of the body, in any axes [m]; the pole s is a unit vector there.
     """
     rho2, Z = _dot(R, R), _dot(R, pole)
     rho3 = rho2 * np.sqrt(rho2)

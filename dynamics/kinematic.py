@@ -44,12 +44,7 @@ def step_kinematic(
 ) -> VehicleState:
     """Advance vehicles by a step.
 
-    Args:
-        state: State of the vehicles.
-        command: Commanded velocity in the body frame [m/s] and yaw rate [rad/s].
-        plant: Plant, for its lag.
-        dt: Step [s].
-        noise: Noise of velocity and yaw rate [m/s, rad/s].
+    Commands and noise are of the velocity in the body frame [m/s] and of the yaw rate [rad/s].
     """
     lag = plant.time_constant
     left = exp(-dt / lag) if lag > 0 else 0.0

@@ -30,6 +30,9 @@ NAMES = {  # velocities first: "x_dot" is no x in the unit "dot"
     ID: rf"(?:(?:{_BODY})[_ .]?)?(?:id|index|idx|number|no)|{_BODY}|unnamed: 0|",
 }
 AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", re.IGNORECASE)
+ROW_DIMENSION = re.compile(
+    rf"({_BODY}|row|index|id|number|vertex|corner|obstacle)s?|vertices|dim_\d+", re.IGNORECASE
+)
 OTHER_AXES = re.compile(
     r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
 )
@@ -38,15 +41,10 @@ WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "seco
 
 
 def match_columns(names: Sequence[Any], units: Units) -> dict[str, tuple[int, float | None]]:
-    """Find the columns that names mean, in the order of the units.
+    """Find the places of columns by their names, in the order of the units.
 
     Positions are x and y, or x, y and z; all coordinates have a velocity, or none.
-
-    Returns:
-        Place of each column, and the unit of its name in SI units, None where it has none.
-
-    Raises:
-        InputError: A name is unknown, repeated or missing, or has a wrong unit.
+    The unit of a name is returned in SI units, None where it has none.
     """
     found: dict[str, tuple[int, float | None]] = {}
     for index, given in enumerate(names):
@@ -75,11 +73,7 @@ def knows_name(name: str, units: Units) -> bool:
 
 
 def parse_unit(text: str, unit: str) -> float:
-    """Return the size in SI units of a unit, spelled as in "km", "mm/s" or "m s-1".
-
-    Raises:
-        InputError: It is not known, or not of the quantity of the unit that is taken.
-    """
+    """Return the size in SI units of a unit, spelled as in "km", "mm/s" or "m s-1"."""
     spelled = re.sub(r"\^|\*\*", "", text.strip()).replace("²", "2")
     spelled = re.sub(r"(?<=[\s·.*_][sh])(-1|⁻¹)$", "", spelled)
     suffix = re.sub(r"[\s/·.*]+", "_", spelled)
@@ -92,11 +86,7 @@ def parse_unit(text: str, unit: str) -> float:
 
 
 def sort_rows(rows: Array, numbers: Array) -> Array:
-    """Return rows in the order of their numbers.
-
-    Raises:
-        InputError: A number is not whole, or stands twice.
-    """
+    """Return rows in the order of their numbers, which are whole, each once."""
     whole, times = np.unique(numbers, return_counts=True)
     if (whole % 1).any() or (times > 1).any():
         wrong = whole[np.argmax((whole % 1 != 0) | (times > 1))]
@@ -108,15 +98,8 @@ def sort_rows(rows: Array, numbers: Array) -> Array:
 def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
     """Return the plain numbers of a value with labels or units, in SI units.
 
-    A value without is returned as it is.
-
-    Args:
-        value: Number, array, list or table.
-        unit: Suffix of the unit that is taken; "" for none.
-        units: Columns of a table, if they are not the axes alone.
-
-    Raises:
-        InputError: Labels or units are not those that are taken.
+    A value without is returned as it is. The unit is a suffix, "" for none; the units are those of
+    the columns of a table, if they are not the axes alone.
     """
     if type(value) in PLAIN:
         return value
@@ -159,13 +142,13 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
     """Split a table, or a row of one, into names and columns; None where it has no names."""
-    if isinstance(value, list | tuple) and value and all(map(_is_row, value)):
-        rows = [_as_dict(row) for row in value]
+    rows: list[Any] = [_as_row(row) for row in value] if isinstance(value, list | tuple) else []
+    if rows and None not in rows:
         if any(set(row) != set(rows[0]) for row in rows):
             raise InputError("", "must have rows of the same names")
         return list(rows[0]), [[row[name] for row in rows] for name in rows[0]]
-    if _is_row(value):
-        return list(_as_dict(value)), list(_as_dict(value).values())
+    if (row := _as_row(value)) is not None:
+        return list(row), list(row.values())
     if hasattr(value, "isel"):  # of xarray
         named = [dim for dim in value.dims if _is_text(value[dim])]
         labels = value[named[0]].values.tolist() if named else []
@@ -178,13 +161,12 @@ def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
     return None if names is None else (names, [value[name] for name in names])
 
 
-def _is_row(value: Any) -> bool:
+def _as_row(value: Any) -> dict[Any, Any] | None:
+    """Return a row, or a table, with names as a dict; None for anything else."""
     is_series = hasattr(value, "iloc") and hasattr(value, "to_frame") and _is_text(value.index)
-    return isinstance(value, Mapping) or hasattr(value, "_fields") or is_series
-
-
-def _as_dict(row: Any) -> dict[Any, Any]:
-    return dict(row._asdict() if hasattr(row, "_fields") else row)
+    if hasattr(value, "_asdict"):  # a named tuple
+        return dict(value._asdict())
+    return dict(value) if is_series or isinstance(value, Mapping) else None
 
 
 def _is_text(labels: Any) -> bool:
@@ -214,13 +196,18 @@ def _sort_labels(value: Any) -> Any:
     if repeated := [dim for dim in numbered if len(np.unique(value[dim])) < value.sizes[dim]]:
         raise InputError("", f'has labels of "{repeated[0]}" that are repeated')
     value = value.sortby(numbered) if numbered else value
-    axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
-    is_known = len(axes) == 1 or all(str(dim).startswith("dim_") for dim in value.dims)
-    if len(value.dims) != 2 or any(_is_text(value[dim]) for dim in value.dims):
+    is_dataset = isinstance(value, Mapping)
+    if len(value.dims) != 2 and not is_dataset:
         return value
-    if not is_known:
+    axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
+    axes = axes or [dim for dim in value.dims if _is_text(value[dim]) and not is_dataset]
+    is_plain = all(str(dim).startswith("dim_") for dim in value.dims)
+    rows = [str(dim) for dim in value.dims if dim not in axes]
+    is_known = len(axes) + is_dataset == 1 and all(map(ROW_DIMENSION.fullmatch, rows))
+    if not (is_known or is_plain):
         dims = join_names(map(str, value.dims), "and")
-        raise InputError("", f'has dimensions {dims}; "agent" and "axis" would do')
+        cure = '"agent" or "row"' if is_dataset else '"agent" or "row", and "axis",'
+        raise InputError("", f"has dimensions {dims}; {cure} would do")
     return value.transpose(..., *axes)
 
 

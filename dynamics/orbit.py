@@ -191,12 +191,7 @@ class Orbit:
 def validate_ellipse(
     semi_major_axis: float, eccentricity: float, mu: float, body_radius: float = 0.0
 ) -> None:
-    """Check that an orbit is closed, and stays above the surface of the body.
-
-    Raises:
-        ValueError: The eccentricity is not in [0, 1), the semi-major axis is not positive, or the
-            perigee is inside the body.
-    """
+    """Check that an orbit is closed, and stays above the surface of the body."""
     if not 0 <= eccentricity < 1:
         wanted = "an ellipse needs 0 ≤ e < 1"
         raise ValueError(f"eccentricity: {wanted}, got {eccentricity:.6g}; a circle has e = 0")
@@ -212,11 +207,7 @@ def validate_ellipse(
 
 
 def validate_inclination(inclination: float) -> None:
-    """Check that an inclination is in radians between 0 and π.
-
-    Raises:
-        ValueError: It is not.
-    """
+    """Check that an inclination is in radians between 0 and π."""
     if not 0 <= inclination <= pi:
         reason = f"must lie between 0 and π, got {inclination:.6g} rad; angles are in radians"
         meant = f"{inclination:.6g}° would be {np.radians(inclination):.6g}"

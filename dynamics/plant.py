@@ -158,12 +158,7 @@ class NonlinearPlant(Plant):
 
 
 def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int) -> None:
-    """Check the arguments of `Plant.propagate`.
-
-    Raises:
-        ValueError: Shapes do not fit, the duration is not positive, there are no substeps,
-            or the control of an agent that is present is not finite.
-    """
+    """Check the arguments of `Plant.propagate`."""
     if x.ndim != 2 or x.shape[1] != 2 * axes or u.shape != (len(x), axes):
         raise ValueError(
             f"agents in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "

@@ -42,14 +42,7 @@ Quadrotor.kind = "quadrotor"  # type: ignore[attr-defined]  # name in scenario f
 def step_quadrotor(
     state: VehicleState, command: Float[Array, "*k 4"], plant: Quadrotor, dt: float
 ) -> VehicleState:
-    """Advance quadrotors by a step.
-
-    Args:
-        state: State of the quadrotors.
-        command: Commanded velocity in the heading frame [m/s] and yaw rate [rad/s].
-        plant: Time constants and limits.
-        dt: Step [s].
-    """
+    """Advance quadrotors by a step, commanded by velocity in the heading frame and yaw rate."""
     left = exp(-dt / plant.attitude_time_constant)
     velocity = rotate_by_yaw(state.velocity, state.yaw)
     wanted = rotate_by_yaw(command[..., :3], state.yaw)
@@ -74,12 +67,7 @@ def rotate_to_heading_frame(
     """Rotate a direction from the body frames of quadrotors to their heading frames.
 
     The body frame is the heading frame after the smallest rotation that takes the vertical
-    to the thrust.
-
-    Args:
-        direction: In the body frame.
-        acceleration: Of thrust and gravity together, in the world frame [m/s²].
-        yaw: Of the heading frame [rad].
+    to the thrust: the acceleration, in the world frame, less gravity [m/s²].
     """
     thrust = rotate_by_yaw(acceleration + np.array([0, 0, STANDARD_GRAVITY]), -yaw)
     x, y, z = np.moveaxis(thrust / np.linalg.norm(thrust, axis=-1, keepdims=True), -1, 0)

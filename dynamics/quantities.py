@@ -18,16 +18,9 @@ Powers = dict[str, float]  # exponents of m, kg, s and rad; those that are 0 lef
 
 
 def to_si(value: Any, unit: str) -> Any:
-    """Convert a quantity, or a list that has some, to numbers in SI units.
+    """Convert a quantity, or a list that has some, to numbers in the SI unit of a suffix.
 
-    A value without units is returned as it is.
-
-    Args:
-        value: Number, array or list, perhaps with units.
-        unit: Suffix of the unit that is taken, "m_s2" for m/s²; "" for numbers without a unit.
-
-    Raises:
-        InputError: It is another quantity, or of a package that cannot be converted.
+    A value without units is returned as it is; the suffix "" takes numbers without a unit.
     """
     if type(value) in PLAIN:
         return value
@@ -55,11 +48,7 @@ def to_si(value: Any, unit: str) -> Any:
 
 
 def within_turns(angle: Any, name: str = "") -> Any:
-    """Return an angle, or an array of angles, within two turns; a larger one is in degrees.
-
-    Raises:
-        InputError: It is larger.
-    """
+    """Return an angle, or an array of angles, within two turns; refuse larger ones, in degrees."""
     if isinstance(angle, int | float | Array) and np.abs(angle).max(initial=0.0) > 4 * pi:
         worst = float(np.ravel(angle)[np.abs(np.ravel(angle)).argmax()])
         meant = f"{worst:.6g} degrees are np.radians({worst:.6g}) = {np.radians(worst):.6g}"

@@ -53,12 +53,7 @@ _elements_function = cache(ElementsFunction)
 
 
 def symbolic_elements(orbit: Orbit, times: Shaped[Array, "*k"]) -> Shaped[Array, "*k 6"]:
-    """Return the polar-nodal elements at symbolic times.
-
-    Args:
-        orbit: Orbit of the chief.
-        times: `Symbol`s, not negative [s].
-    """
+    """Return the polar-nodal elements at symbolic times [s]."""
     function = _elements_function(orbit)
     found = [to_array(function(t.expression))[:, 0] for t in times.ravel()]
     return np.array(found).reshape(*times.shape, 6)

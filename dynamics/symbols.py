@@ -102,6 +102,13 @@ def is_symbolic(*values: object) -> bool:
     return any(isinstance(v, kinds) for v in values)
 
 
+def has_symbols(value: object) -> bool:
+    """Return True for a symbol, an expression of CasADi, and an array with one of them."""
+    if isinstance(value, Array) and value.dtype == object:
+        return any(map(has_symbols, value.ravel().tolist()))
+    return isinstance(value, Symbol) or is_symbolic(value)
+
+
 def to_array(matrix: Any) -> Array:
     """Return a matrix of CasADi as an array of floats, or of symbols if it is an expression."""
     import casadi
@@ -132,17 +139,7 @@ def make_function(rate: Callable[[Any, Any, Any], Any], axes: int) -> Any:
 
 
 def trace(rate: Callable[..., Any], model: Any, *values: Any) -> Any:
-    """Return the rate of a model, which is written for arrays, as an expression of CasADi.
-
-    Args:
-        rate: (model, t, x, u) ↦ ẋ.
-        model: Object with the attribute `axes`.
-        values: t, x and u, at least one of them an expression.
-
-    Raises:
-        ValueError: The size of t, x or u is wrong, or SX and MX are mixed.
-        TypeError: The rate uses what symbols do not have.
-    """
+    """Return a rate (model, t, x, u) ↦ ẋ, written for arrays, as an expression of CasADi."""
     import casadi
 
     kinds = [type(v).__name__ for v in values]

@@ -68,13 +68,7 @@ class Separations(NamedTuple):
 def control_points(
     position: Samples, velocity: Samples, h: Duration
 ) -> Float[Array, "*agents instants-1 4 d"]:
-    """Return the Bézier control points of every piece.
-
-    Args:
-        position: Positions at the instants [m].
-        velocity: Velocities at the instants [m/s].
-        h: Duration of all pieces, or of each [s].
-    """
+    """Return the Bézier control points of every piece, of duration h [s]."""
     third = (np.asarray(h) / 3)[..., None]
     first, last = position[..., :-1, :], position[..., 1:, :]
     second, before_last = velocity[..., :-1, :] * third, velocity[..., 1:, :] * third
@@ -121,13 +115,7 @@ def hull_distance(points: Float[Array, "*k 4 d"]) -> tuple[Float[Array, "*k"], A
 
     The distance is max over unit n of min_i n·b_i, and the best n is normal to a vertex,
     an edge or a face; all are tried. n·b_i ≥ distance holds in spite of rounding, and also
-    for points that coincide or are collinear.
-
-    Returns:
-        The distance, 0 where the hull contains the origin, and the point, distance × n.
-
-    Raises:
-        ValueError: The points have neither 2 nor 3 axes.
+    for points that coincide or are collinear. The distance is 0 where the hull contains the origin.
     """
     d = points.shape[-1]
     if d not in (2, 3):
@@ -186,11 +174,7 @@ def sampled_separations(
 
 @checked
 def min_distance(points: Float[Array, "k d"]) -> float:
-    """Return the minimum distance of any two points, infinite for fewer than two.
-
-    Raises:
-        ValueError: A point is not finite.
-    """
+    """Return the minimum distance of any two points, infinite for fewer than two."""
     if not np.isfinite(points).all():
         wrong = points[~np.isfinite(points).all(axis=1)][0]
         raise ValueError(f"points must be finite, got {wrong}")
@@ -221,14 +205,7 @@ def interpolation_error(
 
     The separation of two agents may be less than that of their cubics by twice as much.
     For a time-invariant model it is `interpolation_error_bound`, which is proven. For other
-    models it is measured at the middle of each piece, integrated from the start of the piece.
-
-    Args:
-        model: Model of the agents.
-        x: States at the start of each piece; the end of the last one is not used.
-        u: Controls, held over each piece.
-        h: Duration of the pieces [s].
-        t0: Time of the first instant [s].
+    models it is measured at the middle of each piece, integrated from the state at its start.
     """
     if model.is_time_invariant:
         return interpolation_error_bound(model, x, u, h)
@@ -249,17 +226,9 @@ def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) 
 
     Cubics over two pieces have an error of p⁗ (2h)⁴/384 at their middles, which are samples
     of the trajectory; those of one piece have a sixteenth of it. The estimate is good while
-    p⁗ changes little and the control is the same over two pieces. Entries that are not
-    finite belong to absent agents. The separation of two agents may be less than that of
-    their cubics by twice as much.
-
-    Args:
-        position: Positions at an odd number of instants [m].
-        velocity: Velocities at these instants [m/s].
-        h: Time between the instants [s].
-
-    Raises:
-        ValueError: The number of instants is even.
+    p⁗ changes little and the control is the same over two pieces. There is an odd number of
+    instants, h apart. Entries that are not finite belong to absent agents. The separation of two
+    agents may be less than that of their cubics by twice as much.
     """
     if position.shape[-2] % 2 == 0:
         found = f"{position.shape[-2]} instants do not pair up into pieces of twice the length"
@@ -277,9 +246,6 @@ def interpolation_error_bound(
     Taylor series is summed term by term in norm. The error of the cubic is at most
     max |p⁗| h⁴/384. The separation of two agents may be less than that of their cubics by
     twice as much.
-
-    Raises:
-        ValueError: The model is not time-invariant.
     """
     if not model.is_time_invariant:
         reason = "is not time-invariant, so there is no proven bound"

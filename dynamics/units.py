@@ -14,11 +14,7 @@ from dynamics.inputs import InputError, format_value, join_names
 
 @dataclass(frozen=True)
 class Unit:
-    """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s².
-
-    Raises:
-        InputError: It is not known.
-    """
+    """SI unit of a field, as a key of a scenario file spells it: "m_s2" for m/s²."""
 
     suffix: str
 

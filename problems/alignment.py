@@ -92,13 +92,9 @@ class ShapeError(NamedTuple):
 def compute_shape_error(
     position: Float[Array, "points 3"], points: Float[Array, "points 3"]
 ) -> ShapeError:
-    """Align a formation, and its mirror image, with a swarm, and measure the distance.
+    """Measure the distance of the holders of points from a formation, or its mirror image.
 
-    They may be translated, and rotated about the vertical, but not scaled.
-
-    Args:
-        position: Position of the holder of each point [m].
-        points: Points of the formation [m].
+    Both are aligned: translated, and rotated about the vertical, but not scaled.
     """
     return ShapeError(_rms_error(position, points), _rms_error(position, points * [1.0, 1.0, -1.0]))
 

@@ -17,15 +17,6 @@ def solve_assignment(
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
     This needs all costs at once. No agent of a swarm knows those of the others for certain.
-
-    Args:
-        cost: Cost of each target for each agent; at least as many targets as agents.
-
-    Returns:
-        The target of each agent.
-
-    Raises:
-        ValueError: A cost is not finite, or there are fewer targets than agents.
     """
     agents, targets = cost.shape
     if agents > targets:
@@ -49,10 +40,6 @@ def least_prices(
 
     They are the least p ≥ 0 with p_j ≥ p_σ(i) + c_iσ(i) − c_ij for all i and j: lengths of longest
     paths, found in at most N sweeps. A target that is left over costs nothing.
-
-    Args:
-        cost: Cost of each target for each agent.
-        target_index: Assignment σ of least total cost.
     """
     rows, price = np.arange(len(cost)), np.zeros(cost.shape[1])
     own = cost[rows, target_index]

@@ -320,10 +320,8 @@ def solve_condensed(
 ) -> list[Trajectory]:
     """Solve for one or several agents, with speed limits only where a solution violates them.
 
-    Args:
-        problems: Problem of each agent.
-        assemble: Assembles the program, given the instants of each agent with speed limits; its
-            first unknowns are those of the first problem.
+    The program is assembled from the instants of each agent with speed limits; its first unknowns
+    are those of the first problem.
     """
     limited = [np.zeros(0, dtype=int) for _ in problems]
     sizes, unit = [own.own_unknowns for own in problems], cost_unit(problems)

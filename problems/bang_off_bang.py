@@ -58,14 +58,7 @@ def solve_burns(
     steps: DiscreteModel,
     max_control: Bound,
 ) -> Burns:
-    """Compute the burns of least fuel on every axis.
-
-    Args:
-        position: Displacements from the free motion [m].
-        velocity: The same of the velocity [m/s].
-        steps: Steps of a double integrator.
-        max_control: U, the largest |u| on each axis, or one entry an axis [m/s²].
-    """
+    """Compute the burns of least fuel on every axis, for displacements from the free motion."""
     N, dt = len(steps), steps.dt
     β = velocity / (np.asarray(max_control) * dt)
     μ = (N - 0.5) * β - position / (np.asarray(max_control) * dt**2)

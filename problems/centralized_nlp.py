@@ -165,11 +165,7 @@ class SwarmProgram:
     def solve(
         self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
     ) -> tuple[Array, Array, str]:
-        """Solve the program with IPOPT from an initial guess; the arguments are those of `build`.
-
-        Returns:
-            States, controls and the status that IPOPT reports, which is not verified.
-        """
+        """Solve the program with IPOPT from an initial guess; the status is not verified."""
         import casadi
 
         program = self.build(ends, guess, instants, nearby)
@@ -183,14 +179,7 @@ class SwarmProgram:
     def build(
         self, ends: Ends, guess: InitialGuess, instants: SeparationConstraints, nearby: bool = False
     ) -> NonlinearProgram:
-        """Build the program for `casadi.nlpsol`.
-
-        Args:
-            ends: Initial and terminal states.
-            guess: States and controls, not necessarily consistent.
-            instants: Pairs that keep a distance, and when.
-            nearby: True for a nearly feasible guess, to stay near.
-        """
+        """Build the program for `casadi.nlpsol`; a guess that is nearby is nearly feasible."""
         import casadi
 
         transfer, unit = self.transfer, self.state_units
@@ -309,13 +298,7 @@ def _limit_norm(casadi: Any, limit: Limit, v: Any, unit: float) -> tuple[Any, Ar
 
 
 def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
-    """Displace every trajectory of a guess sideways: most half-way, and not at the ends.
-
-    Args:
-        guess: States and controls.
-        dt: Step [s].
-        by: Largest displacement of each agent [m].
-    """
+    """Displace every trajectory of a guess sideways: most half-way [m], not at the ends."""
     x, u = guess
     T = u.shape[1]
     phase = np.pi * np.arange(T + 1)[:, None] / T

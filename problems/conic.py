@@ -316,6 +316,14 @@ class Verification(NamedTuple):
     reason: str
     ray: Float[Array, " m"] | None = None  # the verified certificate of infeasibility
 
+    def require(self, problem: ConicProgram) -> ConicSolution:
+        """Return the solution of a program; raise `Infeasible`, or `Unsolved` if it is neither."""
+        if self.kind == "infeasible":
+            raise Infeasible(problem, self.reason, self.ray)
+        if self.solution is None or self.kind != "solved":
+            raise Unsolved(problem, self.reason)
+        return self.solution
+
 
 @checked
 def verify(
@@ -327,11 +335,6 @@ def verify(
     the solver stopped early; *infeasible* with a ray that certifies it, see `verify_ray`;
     *wrong claim* where the solver reports "solved" and the residuals are too large; *unproven*
     where it reports "infeasible" without a ray that certifies it; and *failed* otherwise.
-
-    Args:
-        problem: The program that was solved.
-        result: The solver's result.
-        tolerance: Of residuals and gap, relative.
     """
     said = f"{result.status} ({result.message})"
     if result.status == "infeasible":
@@ -359,16 +362,11 @@ def verify(
 def verify_ray(
     problem: ConicProgram, ray: Annotated[Float[Array, " m"], ANY_NUMBER]
 ) -> tuple[Float[Array, " m"], str]:
-    """Check a certificate of infeasibility.
+    """Check a certificate of infeasibility, a ray of any length.
 
-    Args:
-        problem: The program that should be infeasible.
-        ray: The solver's ray, of any length.
-
-    Returns:
-        The ray, moved into the dual cone and scaled to bᵀy = −1, and an objection: the empty
-        string where the ray shows that no feasible x has ‖x‖_∞ < 1 / RAY_TOLERANCE. Problems
-        are stated in units in which their points are not that large.
+    Return the ray in the dual cone, scaled to bᵀy = −1, and an objection, which is empty where the
+    ray shows that no feasible x has ‖x‖_∞ < 1 / RAY_TOLERANCE. Problems are stated in units in
+    which their points are not that large.
     """
     if not np.isfinite(ray).all():
         return ray, "its ray is no certificate: it is not finite"
@@ -387,15 +385,5 @@ Solver = Callable[[ConicProgram], SolverResult]
 
 
 def solve(problem: ConicProgram, solver: Solver) -> ConicSolution:
-    """Solve, and verify the solution before returning it.
-
-    Raises:
-        Infeasible: No point satisfies every constraint, with a verified certificate.
-        Unsolved: The solver stopped, or its solution or certificate fails verification.
-    """
-    kind, solution, reason, ray = verify(problem, solver(problem), TOLERANCE)
-    if kind == "infeasible":
-        raise Infeasible(problem, reason, ray)
-    if solution is None or kind != "solved":
-        raise Unsolved(problem, reason)
-    return solution
+    """Solve, and verify the solution; raise what `Verification.require` does."""
+    return verify(problem, solver(problem), TOLERANCE).require(problem)

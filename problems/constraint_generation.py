@@ -41,10 +41,7 @@ def try_generating(transfer: TransferProblem, solver: Solver, *rest: Any) -> Tra
     """Return what `generate_constraints` finds, for its further arguments.
 
     None where norms are not linear, where a solver was chosen, and where the method stops without
-    an answer, which counts as a fallback to the conic solver.
-
-    Raises:
-        Infeasible: No trajectory satisfies the constraints that must hold.
+    an answer, which counts as a fallback to the conic solver; raises `Infeasible`.
     """
     if not isinstance(solver, VerifiedSolver) or not can_generate(transfer, solver):
         return None
@@ -72,17 +69,8 @@ def generate_constraints(
 ) -> Trajectory:
     """Find the trajectory of least fuel, and penalties of what it misses, inside half-spaces.
 
-    Args:
-        transfer: Motion, limits and weights of the fuel.
-        start: State at the start.
-        goals: States to be in.
-        spaces: Half-spaces.
-        tolerance: By which a half-space may be violated [m].
-        slack_penalty: Cost of the largest violation beyond it [1/s]; infinite where none may be.
-
-    Raises:
-        Infeasible: No trajectory satisfies the constraints that must hold.
-        Unsolved: The method stopped without an answer.
+    A half-space may be violated by the tolerance [m], and beyond it at a cost of the largest
+    violation [1/s], infinite where none may be.
     """
     limit, axes = transfer.control_limit, transfer.model.axes
     free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]
@@ -134,13 +122,10 @@ def generate_constraints(
 def _list_tangents(
     limit: Limit, v: Float[Array, "k d"], instants: Int[Array, " k"]
 ) -> tuple[Float[Array, "rows d"], float, Int[Array, " rows"]]:
-    """List rows F with F v ≤ L in the limit that cut off velocities beyond it.
+    """List rows F with F v ≤ L in the limit, and their instants, that cut off velocities beyond it.
 
     Of a ball, a velocity that is too fast is near a corner between two tangents. The tangent at
     its direction halves the angle between these; those on each side of it halve it once more.
-
-    Returns:
-        F, L, and the instant of each row.
     """
     if limit.faces is not None:
         rows = np.tile(limit.faces, (len(v), 1))

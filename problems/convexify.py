@@ -174,15 +174,8 @@ def convexify(
 ) -> HalfSpaces:
     """Constrain n·(P x + Q u + r − c̄) ≥ R for every movable control point [Morgan2016, eq. 64].
 
-    Args:
-        horizon: Avoidance horizon and its pieces.
-        T: Steps that the agent has left; after them it coasts.
-        others: Control points c̄ of the other agents [m].
-        normal: Unit normals n of the half-spaces, see `choose_normals`.
-        separation: Required distances; that of the horizon by default.
-
-    Raises:
-        InputError: There are fewer pieces than the steps have.
+    The agent has T steps left, and coasts after them. The points c̄ are those of the others [m],
+    the normals n are of `choose_normals`; by default the separation is that of the horizon.
     """
     P, Q, r = (part[:T] for part in horizon.control_point_maps)
     required = horizon.required_separation if separation is None else separation
@@ -211,15 +204,7 @@ def convexify_end(
     normal: Float[Array, "others pieces d"],
     separation: Float[Array, " others"],
 ) -> HalfSpaces:
-    """Constrain where an agent comes to rest, while others move on to the end of the horizon.
-
-    Args:
-        horizon: Avoidance horizon and its pieces.
-        T: Steps after which the agent rests.
-        others: Control points c̄ of the others [m].
-        normal: Unit normals n of the half-spaces.
-        separation: Required distances.
-    """
+    """Constrain where an agent rests after T steps, while others move on over the horizon."""
     P, Q, r = (part[T - 1, -1, -1] for part in horizon.control_point_maps)
     later = slice(T * horizon.pieces_per_step, None)
     n = normal[:, later]
@@ -285,12 +270,8 @@ def across_motion(
 ) -> Float[Array, " d"]:
     """Return the unit vector to a side of an obstacle, across the motion past it.
 
-    Of several obstacles all are passed above, or all below.
-
-    Args:
-        piece: Piece of the relative trajectory that is nearest [m].
-        nearest: Its vector from the obstacle, 0 where it is inside [m].
-        side: Side.
+    The piece is the nearest, and its vector from the obstacle is 0 inside [m]. Of several
+    obstacles all are passed above, or all below.
     """
     size = float(np.linalg.norm(nearest))
     across = nearest / size if size > 0 else _perpendicular(piece)

@@ -106,12 +106,7 @@ class DriftHorizon:
         return np.stack(found), np.linalg.inv(np.stack(found[: self.steps.steps]))
 
     def follow(self, x: StateSamples, u: ControlSamples) -> Drifts:
-        """Return the motion along plans, and from each of their steps without thrust.
-
-        Args:
-            x: States; after the last one vehicles move freely.
-            u: Controls.
-        """
+        """Return the motion along plans, then free, and from each step without thrust."""
         d, pieces = u.shape[-1], np.arange(len(self.lengths))
         begin, end = self._move(x)
         k, p = self.step, self.piece
@@ -140,13 +135,7 @@ class DriftHorizon:
         return begin, end
 
     def predict(self, own: Drifts, nominal: Trajectory, plan: Trajectory) -> Drifts:
-        """Return the motion along a plan near its nominal, by the linear model.
-
-        Args:
-            own: Motion along the nominal.
-            nominal: Nominal.
-            plan: Plan.
-        """
+        """Return the motion along a plan near its nominal, by the linear model."""
         x, u, _ = plan
         moved = np.zeros((self.steps.steps, x.shape[-1]))
         count = min(len(u), len(moved))
@@ -170,14 +159,8 @@ class DriftHorizon:
         they move freely after their plans, and where they drift from now on, which no control of
         theirs can change.
 
-        Args:
-            own: Motion of the vehicle.
-            others: Motion of the others.
-            is_above: True for those whose plans and drifts are known.
-            factor: Factor.
-
-        Returns:
-            Encounters of its own drifts with the plans of others, and of its plan with theirs.
+        The first are those of its drifts with the plans of others, the second of its plan with
+        theirs.
         """
         is_now, is_planned = self.step == 0, self.piece < self.steps.steps
         known = is_above[:, None]
@@ -214,15 +197,7 @@ class DriftHorizon:
         nominal: Trajectory,
         side: PassingSide = "same",
     ) -> HalfSpaces:
-        """Constrain a plan so that it keeps the distance in encounters [Morgan2016, eq. 64].
-
-        Args:
-            own: Motion of the vehicle along its nominal.
-            others: Motion of the others.
-            encounters: Of its own drifts with plans of others, and of its plan with their drifts.
-            nominal: Nominal.
-            side: Side on which to pass.
-        """
+        """Constrain a plan near its nominal to the distance in encounters [Morgan2016, eq. 64]."""
         of_drifts, of_plan = encounters
         (other, row), (met, theirs) = of_drifts, of_plan
         relative = own.drifts[row] - others.path[other, self.piece[row]]

@@ -59,16 +59,9 @@ def choose_basis(rows: Array) -> Array:
 def solve_batches(rows, first_basis, w, b, starts, max_pivots, x, λ, status):
     """Solve every program; those of other batches do not change a bit of its solution.
 
-    Args:
-        rows: Q.
-        first_basis: Columns with which each batch begins, see `choose_basis`.
-        w: Weights of the controls.
-        b: Right-hand sides, one row a program.
-        starts: First program of each batch, and at the end the number of programs.
-        max_pivots: Pivots after which a program is stopped.
-        x: Written: controls.
-        λ: Written: duals, or the direction along which the dual grows without bound.
-        status: Written.
+    Q are the rows, and b has one a program. Each batch starts at one, with columns as of
+    `choose_basis`. Written are the controls x, the status, and the duals λ, or the direction
+    along which the dual grows without bound.
     """
     m, n = rows.shape
     for batch in range(len(starts) - 1):

@@ -90,8 +90,7 @@ def ascend(
 
     Changes all but kinks and slopes, and writes the ray along which it is unbounded.
 
-    Returns:
-        The status and the number of pivots.
+    It returns the status and the number of pivots.
     """
     (m, n), pivots = tableau.shape, 0
     step, drop, entry = np.empty(2 * n + 2), np.empty(2 * n + 2), np.empty(n + 1)

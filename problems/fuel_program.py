@@ -38,12 +38,7 @@ class FuelProgram:
     """
 
     def __init__(self, weights: Float[Array, " n"], penalty: float = inf) -> None:
-        """Begin without rows, with all controls zero.
-
-        Args:
-            weights: w, positive, of the order of 1.
-            penalty: P; infinite where σ is zero.
-        """
+        """Begin without rows, with controls of zero; an infinite penalty P keeps σ at zero."""
         n = len(weights) + 1
         controls, slack = [-FAR, -1.0, 0.0, 1.0, FAR], [-FAR, 0.0, FAR, FAR, FAR]
         self._kinks = np.vstack([np.tile(controls, (n - 1, 1)), slack])
@@ -68,12 +63,8 @@ class FuelProgram:
     ) -> None:
         """Add rows coeffs · u + offset ≥ 0, or = 0.
 
-        Args:
-            coeffs: Entries of each row.
-            offset: Constant of each row.
-            penalty: Of the error of each equation; None for inequalities.
-            is_relaxed: True where inequalities may be violated by σ.
-            room: Margin that was subtracted from each offset.
+        A penalty is of the error of each equation, None for inequalities, which σ may violate if
+        relaxed. The room is a margin that was subtracted from each offset.
         """
         kinks = [-FAR, 0.0, FAR if penalty is None else 0.0, FAR, FAR]
         penalty = np.full(len(coeffs), inf) if penalty is None else penalty

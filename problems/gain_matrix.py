@@ -207,11 +207,7 @@ def _residuals(formation: DesiredFormation, axes: Axes, A: Array) -> Residuals:
 
 
 def validate_rate(axes: Axes, rate: float, bound: float) -> None:
-    """Refuse unstable gains of one direction, and a bound below their rate.
-
-    Raises:
-        ValueError: They are.
-    """
+    """Refuse unstable gains of one direction, and a bound below their rate."""
     if not rate > 0:
         raise ValueError(f"the gains for {axes} are not stable: their rate is {rate:.1e}")
     if not bound >= rate * (1 - RESIDUAL_TOLERANCE):
@@ -219,11 +215,7 @@ def validate_rate(axes: Axes, rate: float, bound: float) -> None:
 
 
 def validate_gains(formation: DesiredFormation, axes: Axes, A: Array) -> None:
-    """Refuse gains of one direction that belong to another formation.
-
-    Raises:
-        ValueError: They are.
-    """
+    """Refuse gains of one direction that belong to another formation."""
     n = len(formation.points)
     if A.shape != (n, n):
         raise ValueError(f"{n} points need {n} × {n} gains, got {A.shape} for {axes}")

@@ -40,26 +40,16 @@ def solve(
     necessary, with more constraints than the problem has.
 
     The default limits are those of the paper's code: at most 10 iterations, or a trace
-    within 10 %. That is far from the optimum, and the iterate is then projected onto the
-    equations, where it may lose positivity. So these gains are slower than the optimum, and
-    may be unstable on sparse graphs. Where no gains stabilize, there is no γ, and unstable
-    gains are returned. The bound stays valid, but is loose. The method converges with
-    `trace_tolerance=0` and thousands of iterations.
+    within 10 %, or changes of X that sum to less than the tolerance. That is far from the
+    optimum, and the iterate is then projected onto the equations, where it may lose positivity.
+    So these gains are slower than the optimum, and may be unstable on sparse graphs. Where no
+    gains stabilize, there is no γ, and unstable gains are returned. The bound stays valid, but
+    is loose. The method converges with `trace_tolerance=0` and thousands of iterations.
 
     Errata of the paper: the norm in (9) must be squared, the gains in Proposition 1 are
     −R Z Rᵀ, and the complete graph takes six iterations; only the projection takes one.
 
-    Args:
-        problem: Kernel and graph.
-        max_iterations: Limit of iterations.
-        trace_tolerance: Relative trace error at which the iteration stops.
-        change_tolerance: The iteration also stops where the changes of X sum to less.
-
-    Returns:
-        L = Q Z Qᴴ, projected, and the dual variables y of the non-edges as a matrix Y.
-
-    Raises:
-        NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
+    L = Q Z Qᴴ is projected; the dual variables y of the non-edges are a matrix Y.
     """
     _ = problem.trace_direction  # raises where only matrices of trace 0 are left
     Q = _to_real_blocks(problem.complement)

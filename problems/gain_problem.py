@@ -104,11 +104,7 @@ class GainProblem:
         return np.asarray(np.eye(len(self.graph)) - self._kernel_projector)
 
     def project(self, W: Inexact[Array, "n n"]) -> GainSolution:
-        """Find the Hermitian L nearest to W with L K = 0, tr L = m and zeros at the non-edges.
-
-        Raises:
-            NoGainMatrix: No matrix satisfies these equations.
-        """
+        """Find the Hermitian L nearest to W with L K = 0, tr L = m and zeros at the non-edges."""
         kept, dropped = self._project_without_trace((W + W.conj().T) / 2)
         direction, rest = self.trace_direction
         deficit = (self.m - kept.trace().real) / direction.trace().real
@@ -161,10 +157,7 @@ class GainProblem:
         """Projection of I without the equation of the trace, and what it removes.
 
         It has the largest trace of all matrices of its size, and its squared norm is its trace:
-        where that vanishes, every matrix has trace 0.
-
-        Raises:
-            NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
+        where that vanishes, every matrix has trace 0, which `NoGainMatrix` tells.
         """
         identity = np.eye(len(self.graph), dtype=self.kernel.dtype)
         direction, rest = self._project_without_trace(identity)

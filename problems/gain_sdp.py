@@ -21,14 +21,9 @@ def solve(problem: GainProblem) -> GainSolution:
     the kernel. This slow method is the reference for the others: 1 s for 20 agents, a
     minute for 50, growing with n⁶.
 
-    Returns:
-        L = Q Z Qᴴ, projected to satisfy the equations to rounding, and the matrix Y of the
-        dual variables y. Its `rate_bound` equals the rate of L, and is negative where no
-        gains of this graph stabilize.
-
-    Raises:
-        NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
-        Unsolved: The solver stopped with a gap between the rate and its bound.
+    L = Q Z Qᴴ is projected to satisfy the equations to rounding. The `rate_bound` of the matrix Y
+    of the dual variables y equals the rate of L, and is negative where no gains of this graph
+    stabilize.
     """
     import cvxpy as cp
 

@@ -114,14 +114,8 @@ def edge_weights(
 ) -> EdgeWeights:
     """Compute weights of edges i–j from quantities known to agent i [Bernard2023, eq. 6, 10–13].
 
-    Args:
-        d: Distance of the two agents [m].
-        own: β_ij, bearing of j in the body frame of i.
-        other: β_ji, bearing of i in the body frame of j.
-        yaw: ψ_ij = ψ_j − ψ_i, yaw of j relative to i [rad].
-        camera: Camera of every agent.
-        sees: True where i sees j; otherwise f*_ij = 0.
-        is_seen: True where j sees i; otherwise f*_ji = 0.
+    The bearings β_ij and β_ji are in the body frames of i and of j, the yaw is ψ_j − ψ_i [rad].
+    Where i does not see j, f*_ij = 0, and likewise for j.
     """
     axis = np.array(camera.optical_axis)
     is_near = (camera.d_min < d) & (d < camera.d_max)
@@ -147,13 +141,7 @@ def edge_weights(
 
 @checked
 def interaction_graph(position: Positions, yaw: Yaws, camera: Camera) -> EdgeWeights:
-    """Compute the weights of all edges of one swarm or of several [Bernard2023, eq. 6–13].
-
-    Args:
-        position: Positions in the world frame [m].
-        yaw: Yaws of the body frames [rad].
-        camera: Camera of every agent.
-    """
+    """Compute the weights of all edges of swarms in the world frame [Bernard2023, eq. 6–13]."""
     distance, bearing = bearings(position, yaw)
     turn = yaw[..., None, :] - yaw[..., None]
     return edge_weights(distance, bearing, bearing.swapaxes(-3, -2), turn, camera)
@@ -185,9 +173,7 @@ def algebraic_connectivity(
     eigenvectors. There `weight_gradient` is the mean over these eigenvectors: the derivative
     of the mean of the coinciding eigenvalues, which is smooth and independent of the basis.
 
-    Args:
-        weight: Edge weights, at most 1; or True for edges.
-        members: True for agents of the graph; all if absent. λ₂ of one agent is infinite.
+    Weights are at most 1, or True for edges. λ₂ of one agent is infinite.
     """
     is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
     value, vector = np.linalg.eigh(_pad_laplacian(weight, is_member))
@@ -211,10 +197,7 @@ def spectral_slope(
     The sum is smooth where V is, also where eigenvalues meet, as it does not depend on the basis of
     their eigenvectors [Lewis1996].
 
-    Args:
-        weight: Edge weights, at most 1, of at least two agents.
-        slope: V′; 0 at infinity.
-        members: True for agents of the graph. λ₂ of one agent is infinite.
+    The slope V′ is 0 at infinity, where λ₂ of one agent is; weights are at most 1.
     """
     value, vector = np.linalg.eigh(_pad_laplacian(weight, members))
     value, second, _ = _select_eigenvalues(value, members)
@@ -269,13 +252,7 @@ def _select_eigenvalues(
 
 @checked
 def lambda2_gradient(position: Positions, yaw: Yaws, camera: Camera) -> Lambda2Gradient:
-    """Compute the gradient of λ₂ [Bernard2023, eq. 4].
-
-    Args:
-        position: Positions in the world frame [m].
-        yaw: Yaws of the body frames [rad].
-        camera: Camera of every agent.
-    """
+    """Compute the gradient of λ₂ [Bernard2023, eq. 4]."""
     edges = interaction_graph(position, yaw, camera)
     by_weight = algebraic_connectivity(edges.weights).weight_gradient
     gradient = (by_weight[..., None] * edges.gradients).sum(axis=-2)

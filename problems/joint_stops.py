@@ -87,11 +87,7 @@ class JointStopProblem:
     ) -> tuple[Float[Array, "vehicles T m"], float]:
         """Solve the program about nominal controls, with half-spaces added as they are violated.
 
-        Returns:
-            Controls, and the sum of the slack s of the half-spaces that were added.
-
-        Raises:
-            Unsolved: The solver failed.
+        Return the controls, and the sum of the slack s of these half-spaces.
         """
         u = u.copy()
         for a in np.flatnonzero(self.is_free).tolist():
@@ -194,11 +190,7 @@ class JointStopProblem:
         most: float,
         known: tuple[Array, ...] = (),
     ) -> tuple[Array, Array]:
-        """Select the control point with the least room, of each group and step, if below a bound.
-
-        Returns:
-            Rows of the pieces, and control points of these.
-        """
+        """Select rows and points with the least room, of each group and step, if below a bound."""
         least, point = room.min(axis=1), room.argmin(axis=1)
         order = np.argsort(least, kind="stable")
         step = near.piece // self.horizon.pieces_per_step

@@ -67,12 +67,7 @@ def measure_gaps(
 ) -> tuple[Float[Array, "obstacles pieces"], Float[Array, "obstacles pieces d"]]:
     """Measure the distance of each piece of a path from each obstacle, 0 inside [m].
 
-    Args:
-        path: Corners of the hull of each piece, in the frame of each obstacle [m].
-        obstacles: Obstacles.
-
-    Returns:
-        The distance, and the vector of that length from the nearest point of the obstacle.
+    Return also the vector from the nearest point. Paths are in the frame of each obstacle.
     """
     shape, hull = path.shape[:2], path.shape[2:]
     body, d = np.repeat(np.arange(shape[0]), shape[1]), hull[1]
@@ -184,15 +179,7 @@ def choose_half_spaces(
 ) -> tuple[Float[Array, "all pieces 4 d"], Float[Array, "all pieces d"], Float[Array, " all"]]:
     """Choose half-spaces between a nominal path, other agents and then obstacles.
 
-    Args:
-        nominal: Control points [m].
-        others: Control points of the other agents [m].
-        required: Distance that planned trajectories keep from each [m].
-        obstacles: Obstacles.
-        side: Side on which to pass those that the nominal meets.
-
-    Returns:
-        Control points, unit normals and required distances, as `convexify` takes them.
+    Control points, unit normals and required distances are those that `convexify` takes.
     """
     normals = choose_normals(nominal - others, required, side)
     if obstacles is None:

@@ -36,14 +36,7 @@ class RelativeHalfSpaces(NamedTuple):
         normal: Float[Array, "pieces d"],
         separation: float | None = None,
     ) -> "RelativeHalfSpaces":
-        """Constrain n·(c₁ − c₂) ≥ R for every control point that the agents can still move.
-
-        Args:
-            horizon: Avoidance horizon and its pieces.
-            T: Steps that both have left.
-            normal: Directions from the second to the first, see `choose_normals`.
-            separation: Required distance of the two; that of the horizon by default [m].
-        """
+        """Constrain n·(c₁ − c₂) ≥ R for every control point that can move in T steps."""
         no_path = np.zeros((1, len(normal), 4, normal.shape[1]))
         required = horizon.required_separation if separation is None else separation
         first = convexify(horizon, T, no_path, normal[None], required)

@@ -24,10 +24,7 @@ def are_hulls_separated(
 ) -> Bool[Array, "*pairs"]:
     """Return True where the hull of the control points lies outside the circle.
 
-    Args:
-        relative: Control points; where there are several radii, others come first.
-        radius: Radius of all, or of each other.
-        is_exact: False for a ball about the control points in place of their hull.
+    Where there are several radii, others come first. If not exact, a ball stands for the hull.
     """
     shape, (corners, d) = relative.shape[:-2], relative.shape[-2:]
     per_piece = _per_piece(radius, shape).reshape(-1)
@@ -35,12 +32,7 @@ def are_hulls_separated(
 
 
 def separation_violation(relative: ControlPoints, radius: Separation) -> float:
-    """Compute by how much the hulls of the control points enter the circle at most [m].
-
-    Args:
-        relative: Control points; where there are several radii, others come first.
-        radius: Radius of all, or of each other.
-    """
+    """Compute by how much the hulls of the control points enter the circle at most [m]."""
     near = ~are_balls_separated(relative, radius)
     inside = _per_piece(radius, near.shape)[near] - hull_distance(relative[near])[0]
     return float(inside.max(initial=0.0))
@@ -77,11 +69,7 @@ def find_meetings(
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> tuple[Int[Array, " met"], Int[Array, " met"]]:
-    """List the pieces in which pairs of paths do not keep their distances, in little memory.
-
-    Returns:
-        Number of the pair, and the piece.
-    """
+    """List the pieces in which numbered pairs do not keep their distances, in little memory."""
     if not len(i):
         return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
     middle, extent = enclosing_balls(paths)
@@ -103,18 +91,9 @@ def near_pieces(
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> tuple[Int[Array, " near"], Int[Array, " near"]]:
-    """List the pieces of pairs of paths whose points may be nearer than a distance.
+    """List pairs by number and pieces of paths whose points may be nearer than a distance [m].
 
     Boxes about several pieces of each path are compared, which leaves out nearly all.
-
-    Args:
-        paths: Points of each piece [m].
-        i: First path of each pair.
-        j: Second one.
-        radius: Distance of each pair [m].
-
-    Returns:
-        Number of the pair, and the piece, of all that are left.
     """
     pieces, corners, d = paths.shape[1:]
     compared, place = np.unique([i, j], return_inverse=True)

@@ -25,16 +25,10 @@ MIN_CONDITION = 1e-12  # relative, below which a state counts as out of control
 def bound_least_controls(
     steps: DiscreteModel, displacement: Float[Array, "many n"], limit: Limit
 ) -> tuple[Float[Array, " many"], Float[Array, " many"]]:
-    """Bound the least size of the controls that produce each displacement [m/s²].
+    """Bound the least size L, ‖u / s‖_r ≤ L, of the controls of each displacement [m/s²].
 
-    Args:
-        steps: Dynamics, the same for all; with too few steps to control every state, bounds are 0
-            and infinite.
-        displacement: x_f − Φ x₀ − (drift), a row for each.
-        limit: Norm and shares of the control; its size does not matter.
-
-    Returns:
-        Lower and upper bounds of L in ‖u / s‖_r ≤ L.
+    A displacement is x_f − Φ x₀ − (drift). With too few steps to control every state, bounds are 0
+    and infinite. Of the limit, norm r and shares s matter, not its size.
     """
     C, count = reachability_matrix(steps) * limit.shares, len(displacement)
     lower, upper = np.zeros((2, count))

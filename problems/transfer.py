@@ -216,11 +216,7 @@ class TransferProblem:
         return np.asarray(np.linalg.pinv(reach).T)
 
     def require_steps(self) -> None:
-        """Check that there is a step.
-
-        Raises:
-            ValueError: There is none.
-        """
+        """Refuse a transfer without a step."""
         if len(self.model) == 0:
             raise ValueError("a transfer needs at least one step")
 
@@ -306,15 +302,9 @@ def solve_within_speed(solve: Callable[[float], Found], excess: Callable[[Found]
     """Solve again with a lower speed limit where a solution exceeds it.
 
     Solvers keep a limit within their tolerance only. Most solutions keep this one by rounding;
-    where one does not, the limit is lowered by twice as much as it is exceeded by.
-
-    Args:
-        solve: Solves with the speed limit times a factor.
-        excess: Computes the largest speed over the limit, minus 1.
-
-    Returns:
-        The first solution that keeps the limit; the last where that takes more than
-        `MAX_SLOWDOWNS`, or where there is none with a lower limit.
+    where one does not, the limit is lowered by twice as much as it is exceeded by. The first
+    that keeps it is returned; the last where that takes more than `MAX_SLOWDOWNS`, or where there
+    is none with a lower limit.
     """
     found, factor = solve(1.0), 1.0
     for _ in range(MAX_SLOWDOWNS):
@@ -353,17 +343,7 @@ def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:
 
 
 def solve_cvxpy(owner: object, problem: Any, solver: Solver = solve_program) -> None:
-    """Solve a CVXPY problem in place, and verify its solution as that of any other.
-
-    Args:
-        owner: The object that the problem belongs to; errors keep it and name its class.
-        problem: A `cvxpy.Problem`.
-        solver: Solver of the program that CVXPY makes of it.
-
-    Raises:
-        Infeasible: No point satisfies every constraint.
-        Unsolved: The solver stopped for any other reason.
-    """
+    """Solve a CVXPY problem of its owner in place, and verify its solution as that of any other."""
     import cvxpy as cp
 
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})

@@ -84,11 +84,7 @@ def list_families() -> list[str]:
 @checked
 @cache
 def load_family(name: str, size: Size) -> Family:
-    """Load the programs of one family and size.
-
-    Raises:
-        ValueError: There is no family of this name, or not of this size.
-    """
+    """Load the programs of one family and size."""
     if name not in list_families():
         known = ", ".join(list_families())
         raise ValueError(f'there is no family "{name}"; there are {known}')

@@ -115,11 +115,7 @@ class SolverAdapter:
         return self.session_factory(problem, tolerance)
 
     def require(self, problem: ConicProgram) -> None:
-        """Check that the solver can take a program.
-
-        Raises:
-            ValueError: The solver is not installed, or does not support the program.
-        """
+        """Refuse a program that the solver cannot take, or a solver that is not installed."""
         if reason := self.refusal(problem):
             from problems.solvers import list_able
 
@@ -152,13 +148,7 @@ def make_result(
 def lower_bounds(
     b: Vector, zero: Annotated[int, Ge(0)], infinity: float = np.inf
 ) -> Float[Array, " m"]:
-    """Compute l of l ≤ A x ≤ b: equal to b for equations, −∞ for inequalities.
-
-    Args:
-        b: Upper bounds.
-        zero: Number of equations; they come first.
-        infinity: Number that the library takes for infinite.
-    """
+    """Compute l of l ≤ A x ≤ b: equal to b for equations, which are first, else −∞."""
     if zero > len(b):
         raise InputError("zero", f"must be at most {len(b)}, got {zero}")
     return np.concatenate([b[:zero], np.full(len(b) - zero, -infinity)])
@@ -210,7 +200,4 @@ def ask(solver: Any, program: ConicProgram) -> ConicSolution:
         return SolverResult("solved", name, x, y)
 
     result = call(name, solver, deepcopy(program), passes=passes, check=check)
-    kind, solution, reason, _ = verify(program, result, TOLERANCE)
-    if solution is None or kind != "solved":
-        raise Unsolved(program, reason)
-    return solution
+    return verify(program, result, TOLERANCE).require(program)

@@ -49,11 +49,7 @@ class _DualSimplexSession:
         self._first_basis = choose_basis(self._orthonormal.rows)
 
     def solve(self, b: Vector) -> SolverResult:
-        """Solve with another right-hand side of the equations.
-
-        Raises:
-            ValueError: The bounds are others.
-        """
+        """Solve with another right-hand side of the equations."""
         if not np.array_equal(b[self._zero :], self._bounds):
             raise ValueError("only the right-hand side of the equations may change")
         x, λ = np.empty((1, len(self._w))), np.empty((1, self._zero))

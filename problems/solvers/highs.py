@@ -17,11 +17,7 @@ STATUSES: dict[highspy.HighsModelStatus, Status] = {
 
 
 def solve_highs(problem: ConicProgram) -> SolverResult:
-    """Solve one linear program with HiGHS.
-
-    Raises:
-        ValueError: The program has other cones than linear ones.
-    """
+    """Solve one linear program with HiGHS; refuse other cones."""
     return ADAPTERS[0].open_session(problem, DEFAULT_TOLERANCE).solve(problem.b)
 
 

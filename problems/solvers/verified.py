@@ -13,9 +13,7 @@ from problems.conic import (
     TOLERANCE,
     ConicProgram,
     ConicSolution,
-    Infeasible,
     SolverResult,
-    Unsolved,
     Verification,
     verify,
     verify_ray,
@@ -70,11 +68,7 @@ class VerifiedSolver:
             found = VerifiedSolver().answer(problem)
             both = f"{self.last_rejection}; {DEFAULT_SOLVER}: {found.reason}"
             found = found._replace(reason=both)
-        if found.kind == "infeasible":
-            raise Infeasible(problem, found.reason, found.ray)
-        if found.solution is None or found.kind != "solved":
-            raise Unsolved(problem, found.reason)
-        return found.solution
+        return found.require(problem)
 
     def count_fallback(self, reason: str) -> None:
         """Count a program that is given to the default solver, and keep the reason."""
@@ -97,9 +91,6 @@ class VerifiedSolver:
         is asked for the least violation too, whose duals are one; the default solver wherever it
         fails. An exception of a library is a failure, with the message as its reason; so is that
         of a solver of the user's own, which is counted too.
-
-        Raises:
-            ValueError: The solver is not installed, or cannot take the program.
         """
         adapter = ADAPTERS[0] if self._name == DEFAULT_SOLVER else load_adapters()[self._name]
         is_open = self._last is not None and problem.differs_in_b_only(self._last[0])

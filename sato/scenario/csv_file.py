@@ -40,14 +40,7 @@ class Table(NamedTuple):
 def read_columns(path: Path, content: str, units: Units, counts: Collection[int]) -> Table:
     """Read the columns that a header names; without one they stand in the order of the units.
 
-    Args:
-        path: File.
-        content: Name of the rows in messages.
-        units: Unit of each column that there may be, by its name.
-        counts: Numbers of columns that need no header.
-
-    Raises:
-        ValueError: The file cannot be read, or its columns are not those.
+    Only so many columns need no header as are in the counts. The content names rows in messages.
     """
     names, rows = read_rows(path, content, units)
     width = len(names or rows[0][1])
@@ -100,9 +93,6 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     """Read the names of a header, None where there is none, and the cells of all rows.
 
     A header is a first line without a number, or a comment above the rows that names columns.
-
-    Raises:
-        ValueError: There is no such file, it is not text, it has no rows, or two headers disagree.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

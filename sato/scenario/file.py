@@ -43,11 +43,7 @@ class Mission(Definition):
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Return the tables of a file, with defaults that depend on other keys filled in.
-
-        Raises:
-            InputError: The tables cannot be those of a mission, whatever is in their keys.
-        """
+        """Return the tables of a file, with defaults that depend on other keys filled in."""
         return data
 
     @abstractmethod
@@ -115,11 +111,7 @@ def read(name: str | Path, overrides: Iterable[Setting] = ()) -> Mission:
 
 @checked
 def read_data(name: str | Path) -> dict[str, Any]:
-    """Read the tables of a scenario as `from_dict` takes them; the name is as of `read`.
-
-    Raises:
-        ScenarioError: There is no such scenario, or it is no TOML.
-    """
+    """Read the tables of a scenario as `from_dict` takes them; the name is as of `read`."""
     text, folder = _read_text(name)
     data: dict[str, Any] = _copied(load_toml(text, str(name)), folder.resolve())
     return data
@@ -138,11 +130,7 @@ def _read_text(name: str | Path) -> tuple[str, Path]:
 
 @checked
 def read_text(file: Path) -> str:
-    """Read a file.
-
-    Raises:
-        ScenarioError: It cannot be read, or is no text.
-    """
+    """Read a file of text; a `ScenarioError` refuses any other."""
     try:
         return file.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -178,11 +166,7 @@ def parse(
 
 @checked
 def load_toml(text: str, source: str) -> dict[str, Any]:
-    """Read TOML; what has no name is named after its source.
-
-    Raises:
-        ScenarioError: It is no TOML.
-    """
+    """Read TOML; what has no name is named after its source."""
     try:
         data = tomllib.loads(text.removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
@@ -222,12 +206,7 @@ def from_dict(
 
 @checked
 def spell_out(name: str | Path, overrides: Iterable[Setting]) -> tuple[str, ...]:
-    """Write overrides of a scenario as "table.key = value", each with all its tables.
-
-    Raises:
-        ScenarioError: There is no such scenario, or it is no TOML.
-        InputError: There is no such key, or there is one in several tables.
-    """
+    """Write overrides of a scenario as "table.key = value", each with all its tables."""
     data = load_toml(_read_text(name)[0], str(name))
     definition = definition_of(data.pop("system", ""))
     written = []

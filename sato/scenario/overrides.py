@@ -48,11 +48,7 @@ def list_settings(overrides: Iterable[Setting] | Mapping[str, Any]) -> tuple[Set
 
 
 def write_value(value: Any) -> str:
-    """Write a value of a setting as TOML, in one line.
-
-    Raises:
-        InputError: TOML has no such value.
-    """
+    """Write a value of a setting as TOML, in one line."""
     if isinstance(value, dict):
         rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
         return f"{{{rows}}}"
@@ -65,21 +61,12 @@ def write_value(value: Any) -> str:
 
 
 def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
-    """Change a scenario's tables in place.
+    """Change a scenario's tables in place; return the key with all its tables.
 
-    Args:
-        data: As read from TOML.
-        setting: "table.key=value", or the key and the value. Where only one table has the key,
-            the key alone; a list of tables is meant as a whole unless a number picks one of
-            them. The value of a text is TOML, or else the bare text. None takes the key away, as
-            the bare text none does unless it is a value of the key.
-        definition: Mission of the system, whose keys the tables may have.
-
-    Returns:
-        The key with all its tables, as in "swarm.agents".
-
-    Raises:
-        InputError: There is no such key, or there is one in several tables.
+    A setting is "table.key=value", or the key and the value. Where only one table has the key, the
+    key alone will do; a list of tables is meant as a whole unless a number picks one of them.
+    The value of a text is TOML, or else the bare text. None takes the key away, as the bare
+    text none does unless it is a value of the key.
     """
     address, value = _split(setting) if isinstance(setting, str) else setting
     key, plain = address.split(".")[-1], _without_numbers(address)
@@ -105,14 +92,7 @@ def _copied(address: str, value: Any) -> Any:
 
 
 def find_places(data: dict[str, Any], address: str, definition: Any) -> set[tuple[Path, str]]:
-    """Return the places that a setting of a key, in any unit, changes; arguments as `override`.
-
-    Returns:
-        Path of each table, and the name of the key there, which is the same in all units.
-
-    Raises:
-        InputError: There is no such key, or there is one in several tables.
-    """
+    """Return the places that a setting of a key, in any unit, changes: table and key."""
     key = address.split(".")[-1]
     holders = _find_holders(data, address, definition)
     return {(spot.path, str(find_key(key, spot.entries))) for spot in holders}

@@ -31,12 +31,7 @@ def doubt_long(
 ) -> list[str]:
     """Doubt a flight that is so long that a number is likely to be in another unit.
 
-    Args:
-        where: Key of what is long.
-        steps: Control steps that it takes.
-        step: Length of a step [s].
-        reason: Numbers that make it long.
-        most: Steps up to which it is not doubted.
+    The reason gives the numbers that make it long; a step is in seconds.
     """
     if steps <= most:
         return []

@@ -62,11 +62,7 @@ def layout(definition: Any, inline: type | None = None) -> Layout:
 
 
 def read_table(definition: Any, data: dict[str, Any]) -> Any:
-    """Build a definition from the table of a file, as TOML or JSON have it.
-
-    Raises:
-        InputError: A key is unknown, missing, in the wrong unit, or has a wrong value.
-    """
+    """Build a definition from the table of a file, as TOML or JSON have it."""
     values: dict[tuple[str, ...], Any] = {}
     inline = None
     for field in fields_of(definition):
@@ -135,11 +131,7 @@ def find_own(data: Any, address: str = "") -> Iterator[tuple[str, str]]:
 
 
 def choose(field: Field, data: Any) -> type:
-    """Choose among the definitions that a field may hold, by the kind in a table.
-
-    Raises:
-        InputError: It is no table, or none has this kind.
-    """
+    """Choose among the definitions that a field may hold, by the kind in a table."""
     if not isinstance(data, dict):
         raise InputError("", f"must be a table, got {format_value(data)}")
     if not field.kinds:

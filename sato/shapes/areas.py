@@ -207,9 +207,6 @@ def _fill_outlines(outlines: Sequence[Array], count: int) -> Drawing:
     A position is inside where the outlines have a winding number other than 0 (a hole runs the
     other way round, as in fonts). Candidates are the nodes of a grid and, so that edges and
     corners are kept, points on the outlines.
-
-    Raises:
-        ValueError: The outlines enclose nothing.
     """
     start = np.concatenate(outlines)
     end = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])

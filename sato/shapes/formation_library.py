@@ -37,13 +37,8 @@ def formation_names() -> tuple[str, ...]:
 def load_formation(name: str, graph: Literal["own", "complete"] = "own") -> DesiredFormation:
     """Load a formation of the library, with its own graph or the complete one.
 
-    Args:
-        name: One of `formation_names()`, in any case; the part before or after the slash is
-            enough where only one name has it.
-        graph: "own" or "complete"; the own graph of most formations is complete.
-
-    Raises:
-        ValueError: The library has no such name; the message lists similar ones.
+    Names are those of `formation_names()`, in any case; the part before or after the slash is
+    enough where only one name has it. The own graph of most formations is complete.
     """
     full_name = _match_name(name)
     entry = _load_library()[full_name]
@@ -71,9 +66,6 @@ def make_formation(
     """Make a formation of any points [m], as from `sato.shapes`; flat ones get height 0.
 
     Its graph is complete where there is no adjacency matrix. The name is for tables and files.
-
-    Raises:
-        ValueError: Points or graph make no formation.
     """
     if points.shape[1] not in (2, 3):
         raise ValueError(f"points have two or three coordinates, got {points.shape[1]}")
@@ -89,9 +81,6 @@ def read_formation(path: str | Path) -> DesiredFormation:
     """Read a formation from a file of points: x, y, z or x, y in meters, a line each.
 
     Its graph is complete, and its name is that of the file.
-
-    Raises:
-        ValueError: The file cannot be read, or its points make no formation.
     """
     path = Path(path)
     points, velocities = read_states(path)
@@ -140,9 +129,6 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     Neither the order of the two matters nor an edge that is repeated. A first line may name the
     two columns, vertex,neighbor or i,j. Without it, a first line 0,1 is an edge where the lines
     are sorted, and refused elsewhere. The count is that of vertices.
-
-    Raises:
-        ValueError: The file cannot be read, or a line is not an edge between two of the vertices.
     """
     edges = []
     names, rows = read_rows(Path(path), "pairs of vertices", {})
@@ -201,10 +187,7 @@ def random_sparse_graph(
     determine all that follow. In the plane this requires that no point is above another; for the
     heights, the ring alternates between low and high points, and fewer than half of the points
     may have the same height, or all of them.
-
-    Raises:
-        ValueError: There are less than four points, or the share is more than all edges or less
-            than the ring.
+    There are four points or more, and edges enough for the ring.
     """
     n = len(points)
     if n < 4:

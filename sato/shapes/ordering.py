@@ -20,9 +20,6 @@ def farthest_point_sampling(points: Float[Array, "k d"], count: int) -> Int[Arra
     The first is the point farthest from the middle of the bounding box. Ties go to the smallest
     index. No remaining point is farther from the chosen ones than their own least distance, so
     every prefix covers the points as evenly as it can.
-
-    Raises:
-        ValueError: There are too many points.
     """
     if count * len(points) > MAX_DISTANCES:
         most = min(count - 1, MAX_DISTANCES // len(points), isqrt(MAX_DISTANCES))

@@ -31,9 +31,7 @@ def sample_separated(
 
     The separation is the least distance between two of them, or to an occupied point [m]. It is
     measured along so many axes, from the first on.
-
-    Raises:
-        NoRoomError: `MAX_REJECTIONS` draws in a row were too close.
+    After `MAX_REJECTIONS` draws in a row that are too close there is no room.
     """
     points = np.concatenate([occupied, np.empty((count, occupied.shape[1]))])
     k, rejections = len(occupied), 0
@@ -60,9 +58,6 @@ def sample_positions(
 
     The trials of [Lusk2020, sec. V-A] start 30 vehicles in 20 m × 20 m, 1.5 m apart. Distance is
     measured along so many axes, from the first on, or else along all.
-
-    Raises:
-        ValueError: There is no room.
     """
     if len(box) not in (2, 3) or not min(box) >= 0 or not min(box[:2]) > 0:
         raise ValueError(f"a box has two or three positive sides, got {list(box)} m")
@@ -90,9 +85,6 @@ def sample_formation(
 
     The trials of [Lusk2020, sec. V-A] take 30 points in 15 m × 15 m × 2 m, 2 m apart; its
     implementation measures the distance in the plane because of the downwash of a vehicle above.
-
-    Raises:
-        ValueError: There is no room.
     """
     if len(box) != 3:
         raise ValueError(f"a formation is drawn in a box of three sides, got {len(box)}")

@@ -55,9 +55,6 @@ def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Floa
 
     The axes of the shape become the axes after that of the normal: (x, y) for a normal along z,
     (y, z) along x, (z, x) along y.
-
-    Raises:
-        ValueError: The normal is not three finite numbers, or is zero.
     """
     n = np.array(normal, dtype=float)
     if n.shape != (3,) or not np.isfinite(n).all() or not n.any():

@@ -42,18 +42,27 @@ class Drawing(NamedTuple):
     size: float = 1.0  # height or radius, where the shape has one
 
 
+def _as_drawing(shape: Any, given: dict[str, Any], value: Any) -> Drawing:
+    what = "Drawing(points, middle)"
+    points, middle, size = (*as_kind(value, tuple, what), 1.0, 1.0, 1.0)[:3]
+    axes = np.shape(points)[1] if isinstance(points, Array) and points.ndim == 2 else given["axes"]
+    points, middle = as_shape(points, (given["count"], axes)), as_shape(middle, (axes,))
+    return Drawing(points, middle, float(as_shape(size, ())))
+
+
+def _as_rows(shape: Any, given: dict[str, Any], value: Any) -> Array:
+    return as_shape(value, (given["count"], given["axes"]))
+
+
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Shape(Definition):
     """Positions for any number of agents; a flat shape lies in the x-y plane of space."""
 
     callbacks: ClassVar = {
-        "draw": Callback("count axes", lambda own, given, value: _as_drawing(given, value)),
-        "place": Callback(
-            "count axes min_distance", lambda own, given, value: _as_rows(given, value)
-        ),
+        "draw": Callback("count axes", _as_drawing),
+        "place": Callback("count axes min_distance", _as_rows),
         "place_velocities": Callback(
-            "count axes",
-            lambda own, given, value: value if value is None else _as_rows(given, value),
+            "count axes", lambda *given: None if given[-1] is None else _as_rows(*given)
         ),
     }
     is_absolute: ClassVar[bool] = False  # keeps size and position unless others are requested
@@ -136,18 +145,6 @@ class Shape(Definition):
             raise ValueError(f"{found}, and they need {needed:.8g} m: {cure} would do")
         stays = self.is_absolute and self.center is None
         return np.asarray((points - middle) * scale + (middle * scale if stays else 0.0))
-
-
-def _as_drawing(given: dict[str, Any], value: Any) -> Drawing:
-    what = "Drawing(points, middle)"
-    points, middle, size = (*as_kind(value, tuple, what), 1.0, 1.0, 1.0)[:3]
-    axes = np.shape(points)[1] if isinstance(points, Array) and points.ndim == 2 else given["axes"]
-    points, middle = as_shape(points, (given["count"], axes)), as_shape(middle, (axes,))
-    return Drawing(points, middle, float(as_shape(size, ())))
-
-
-def _as_rows(given: dict[str, Any], value: Any) -> Array:
-    return as_shape(value, (given["count"], given["axes"]))
 
 
 def center_in(given: tuple[float, ...] | None, axes: int) -> Float[Array, " axes"]:
@@ -234,9 +231,6 @@ def as_points(value: Any) -> Any:
     """Convert an array of positions or states to `Points`; leave anything else as it is.
 
     Rows have 2 or 3 coordinates, or 4 or 6: positions, then velocities.
-
-    Raises:
-        InputError: It is an array of another shape.
     """
     value = to_plain(value, "m", STATES)
     if not isinstance(value, Array | list | tuple):
@@ -256,9 +250,6 @@ def read_states(path: Path) -> tuple[Float[Array, "k d"], Float[Array, "k d"] | 
     A header names the columns, in any order and unit: x, y and z, vx, vy and vz, and the number
     id of each row, by which the rows are sorted. Without one, two or three columns are x, y and z
     in meters.
-
-    Raises:
-        ValueError: The file cannot be read, a line is not a point, or two points coincide.
     """
     columns, lines = read_columns(path, "points", STATES, (2, 3))
     states = np.stack(list(columns.values()), axis=1)
