@@ -22,16 +22,10 @@ from sato.systems import load_system
 def verify_run(
     data: RunData, mission: Any | None, summary: Mapping[str, Any] | None = None
 ) -> Report:
-    """Check a run by recomputing what its data and its summary say.
+    """Check a run by recomputing what its data and, if given, its summary say.
 
-    Args:
-        data: Data of the run.
-        mission: Mission of the run, not drawn; without it, only what needs no mission is
-            recomputed, and the report lists the rest as skipped.
-        summary: Summary to be checked too, if there is one.
-
-    Raises:
-        RunFileError: The file was altered so that nothing can be recomputed.
+    The mission is not drawn; without it, only what needs no mission is recomputed, and the report
+    lists all else as skipped. A `RunFileError` says that nothing can be, as the file was altered.
     """
     is_unaltered = data.attrs.get("digest") == data.compute_digest()
     try:

@@ -273,10 +273,8 @@ class Campaign(Definition):
 def read_campaign(path: Path, **changes: Any) -> Campaign:
     """Read a campaign's TOML file; files that it names lie beside it.
 
-    Changes are of keys of its table [campaign]; None leaves one as it is.
-
-    Raises:
-        ScenarioError: It cannot be read, or is no campaign.
+    Changes are of keys of its table [campaign]; None leaves one as it is. A `ScenarioError` says
+    that it cannot be read, or is no campaign.
     """
     data = load_toml(read_text(path), str(path))
     try:

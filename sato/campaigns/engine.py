@@ -94,23 +94,14 @@ def campaign(
         time_limit=time_limit,
         keep=keep,
     )
-    fly_campaign(
-        defined,
-        Path(out),
-        resume=resume,
-        workers=workers,
-        scheduler=scheduler,
-        allow_version=allow_version,
-        allow_many=allow_many,
-        progress=progress,
-    )
+    where = resume, workers, scheduler, allow_version, allow_many
+    fly_campaign(defined, Path(out), *where, progress)
     return CampaignTable(Path(out))
 
 
 def fly_campaign(
     campaign: Campaign,
     folder: Path,
-    *,
     resume: bool = False,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -149,11 +140,9 @@ def fly_campaign(
 
 
 def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
-    """Fly a row again from itself, by its number, keep the run, and compare the cells.
+    """Fly a row again by its number, keep the run, and return the outcome and differing columns.
 
-    Returns:
-        The outcome, and the columns that differ; None where the worker of the row died or was
-        ended, and there is nothing to compare.
+    There is nothing to compare, and None, where the worker of the row died or was ended.
     """
     row = table.row(number)
     given = table.campaign.trial(number, str(table.folder.resolve()))

@@ -37,15 +37,10 @@ def draw_campaign(
     where: Texts = (),
     scatter: Texts = (),
 ) -> dict[str, Figure]:
-    """Draw the runs of a campaign; arguments are as of `group_runs`.
+    """Draw the runs of a campaign, at least one; arguments and errors are as of `group_runs`.
 
     The scatter plot is of the terms of two axes, or else of the first two numbers that are shown.
-
-    Returns:
-        Figures by name: "rates" and "distributions" by group, "grid" over two columns, "scatter".
-
-    Raises:
-        InputError: A column is unknown, or no run is left.
+    Figures are by name: "rates" and "distributions" by group, "grid" over two columns, "scatter".
     """
     grouped = group_runs(table, by, show, where)
     if not grouped.groups:

@@ -35,12 +35,7 @@ pre { background: #f5f5f5; padding: 0.8rem; overflow-x: auto }
 
 
 def write_report(table: CampaignTable, path: Path) -> Path:
-    """Write the report of a campaign, HTML; a file that is there is replaced once all is written.
-
-    Raises:
-        InputError: The campaign has no runs yet.
-        OSError: The file cannot be written.
-    """
+    """Write the report of a campaign that has runs; a file is replaced once all is written."""
     figures = draw_campaign(table)
     text = "\n".join(
         [

@@ -188,11 +188,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self.campaign = campaign
 
     def add(self, trial: Trial, outcome: Outcome, attempts: int) -> None:
-        """Add the row of a trial, or replace it, in one transaction.
-
-        Raises:
-            TableError: The disk is full, or another program has locked the table.
-        """
+        """Add the row of a trial, or replace it, in one transaction."""
         cells, text = self.cells(trial, outcome), outcome.get("scenario")
         try:
             with describe_errors(self.path), self._connection:  # commits, or rolls back

@@ -133,11 +133,7 @@ class RecordedStick(Stick):
         return replace(stick, times=stick.times - stick.times[0])
 
     def require_command(self, duration: float) -> None:
-        """Refuse a drawn stick that says nothing in a flight of this duration [s].
-
-        Raises:
-            InputError: It begins after the end of the flight, or ends at rest before its start.
-        """
+        """Refuse a drawn stick that begins after a flight of this duration [s], or ends before."""
         first, last = self.times[[0, -1]].tolist()
         if last < 0 and not self.velocities[-1].any():
             reason = f"lie from {first:.10g} to {last:.10g} s, before the flight, which begins at 0"

@@ -173,11 +173,7 @@ class FormationLeg(Definition):
 
     @cached_property
     def gain_matrix(self) -> GainMatrix:
-        """Gains of the formation, once drawn.
-
-        Raises:
-            InputError: The formation has none, or these belong to another.
-        """
+        """Gains of the formation, once drawn; refuse those of another."""
         return self.gains.build(self.desired)
 
     def draw(
@@ -185,13 +181,7 @@ class FormationLeg(Definition):
     ) -> "FormationLeg":
         """Return the leg with points, edges and gains; points are drawn first, then edges.
 
-        Args:
-            agents: Number of agents.
-            keep_out: Least distance of two of them in the plane [m].
-            rng: Generator for random points and edges.
-
-        Raises:
-            InputError: There is no such formation, or the swarm cannot take it up.
+        Refuse a formation that a swarm cannot take up with this least distance in the plane [m].
         """
         with errors_in("formation"):
             points, name = self._draw_points(agents, keep_out, rng)

@@ -59,18 +59,12 @@ class NeighborLocations(NamedTuple):
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
-    """Compute the gains of the steady Kalman filter of a motion at random accelerations.
+    """Compute the gains α, β of the steady Kalman filter of a motion at random accelerations.
 
     The filter of [Kalata1984]: a position is predicted, and corrected by α of what the measurement
-    differs, the velocity by β of that over a step.
-
-    Args:
-        noise: Standard deviation of a measured coordinate [m].
-        acceleration: Standard deviation of an acceleration, held for a step [m/s²].
-        step: Time between two measurements [s].
-
-    Returns:
-        α and β, which is at most 1, as for differences of positions without noise.
+    differs, the velocity by β of that over a step [s]. Noise is the standard deviation of a
+    measured coordinate [m], and acceleration that of one held for a step [m/s²]. β is at most 1,
+    as for differences of positions without noise.
     """
     if noise == 0:
         return 1.0, 1.0
@@ -158,8 +152,7 @@ def track_nearby(
 ) -> Float[Array, "pairs 4"]:
     """Track those within range, by what each agent measures; the tracks are changed in place.
 
-    Returns:
-        Relative positions and velocities of those within range [m, m/s].
+    Relative positions and velocities of those within range are returned [m, m/s].
     """
     i, j, _, measured = nearby
     (on_position, on_velocity), h = swarm.track_gains, swarm.step

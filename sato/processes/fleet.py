@@ -114,8 +114,7 @@ class Fleet(AbstractContextManager["Fleet"]):
     def receive(self, timeout: float = LOOK_INTERVAL) -> tuple[int, Any] | None:
         """Return the next value of a vehicle, and its number; None if there is none in a time [s].
 
-        Raises:
-            VehicleError: A vehicle cannot go on.
+        A `VehicleError` says that one cannot go on.
         """
         return self._received.popleft() if self._received else self._receive(timeout)
 
