@@ -113,7 +113,11 @@ class Connectivity(Mission):
     step: Annotated[Time, In("run"), Positive, "control step"] = 0.02
 
     def completed(self) -> dict[str, Any]:
-        """Return the number of agents, the yaw of listed poses, and a unit optical axis."""
+        """Return the number of agents, the yaw of listed poses, and a unit optical axis.
+
+        Raises:
+            InputError: The yaw is given twice, or without positions.
+        """
         values: dict[str, Any] = {}
         if self.potential.of is None:
             of = "lambda2" if self.estimator == "power_pi" else "spectrum"

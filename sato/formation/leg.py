@@ -181,7 +181,13 @@ class FormationLeg(Definition):
     ) -> "FormationLeg":
         """Return the leg with points, edges and gains; points are drawn first, then edges.
 
-        Refuse a formation that a swarm cannot take up with this least distance in the plane [m].
+        Args:
+            agents: Number of agents.
+            keep_out: Least distance of two of them in the plane [m].
+            rng: Generator for random points and edges.
+
+        Raises:
+            InputError: There is no such formation, or the swarm cannot take it up.
         """
         with errors_in("formation"):
             points, name = self._draw_points(agents, keep_out, rng)
