@@ -29,7 +29,7 @@ def verify_run(
     """
     is_unaltered = data.attrs.get("digest") == data.compute_digest()
     try:
-        found = _check_without_mission(data) if mission is None else _check(data, mission)
+        found = _check_alone(data) if mission is None else _check(data, mission)
     except (LookupError, TypeError, ValueError, RuntimeError) as error:
         if is_unaltered:
             raise
@@ -77,8 +77,8 @@ def _report_damage(data: RunData, drawn: Any | None) -> Report | None:
     return Report((Promise("record", False, 1.0, 0.0, damage),), {}, names, "the record is damaged")
 
 
-def _check_without_mission(data: RunData) -> Report:
-    if (damaged := _report_damage(data, None)) is not None:
+def _check_alone(data: RunData) -> Report:
+    if damaged := _report_damage(data, None):
         return damaged
     record: RunRecord[None, Any, Any] = RunRecord.from_data(data, None)
     frames = record.frames

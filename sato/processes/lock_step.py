@@ -10,7 +10,7 @@ from sato.processes.fleet import Fleet
 from sato.processes.messages import Call, Measured, Reply, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
-from sato.reconfiguration.disturbances import measure
+from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.state import ReconfigurationFrame
 
 ROUNDING = 1e-6  # of a control step, by which a round may come too soon
@@ -47,7 +47,7 @@ class LockStep:
                 world.status |= last
                 intended = ((i, own.intended) for i, own in last.items())
                 world.intended |= {i: later for i, later in intended if later is not None}
-                applied = world.disturb(control)
+                applied = disturb_control(world.mission, control, world.rng)
                 yield world.make_frame(control, applied, measured)
                 world.fly(control, applied)
         yield world.make_frame()
