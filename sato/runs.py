@@ -283,10 +283,9 @@ def simulate(
     """Fly a mission and yield its frames one by one.
 
     Args:
-        scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
-            file.
-        seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: As of `run`.
+        scenario: As of `run`, and so are the others.
+        seed: Random seed.
+        overrides: Changes of the scenario.
 
     Raises:
         ValueError: The scenario cannot be flown.

@@ -66,8 +66,8 @@ def campaign(
         columns: Function of a run that returns a dict of more columns.
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
-        resume: Go on with a table; this and the next five as in `fly_campaign`.
-        workers: Number of processes.
+        resume: Go on with a table; rows whose worker died are flown again.
+        workers: Number of processes; one a core by default.
         scheduler: Address of a Dask scheduler.
         allow_version: Resume with another version.
         allow_many: Allow more than a million runs.

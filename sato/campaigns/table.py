@@ -260,11 +260,9 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
 
 @checked
 def open_table(folder: str | Path) -> CampaignTable:
-    """Open the table of a campaign to read it, also while the campaign runs.
+    """Open the table of a campaign to read it, also while the campaign runs; refuse other folders.
 
-    Raises:
-        InputError: The folder holds no campaign.
-        TableError: The file is damaged, or locked by another program.
+    A `TableError` says that the file is damaged, or locked by another program.
     """
     return CampaignTable(Path(folder))
 

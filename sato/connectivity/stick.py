@@ -69,13 +69,7 @@ class WaypointStick(Stick):
         return replace(self, waypoints=leader + self.spacing * np.cumsum(legs, axis=0))
 
     def command_velocity(self, time: float, position: Vector3, waypoints_reached: int) -> Vector3:
-        """Compute the commanded velocity in the world frame [m/s].
-
-        Args:
-            time: Time since the start [s].
-            position: Position of the leader [m].
-            waypoints_reached: Number of waypoints that it has reached.
-        """
+        """Compute the velocity commanded at a time [s] and a place of the leader [m], in m/s."""
         held = time - self.start_time
         is_held = held >= 0 and held % (self.hold_time + self.release_time) < self.hold_time
         if waypoints_reached >= len(self.waypoints) or not is_held:
