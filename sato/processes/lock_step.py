@@ -68,10 +68,9 @@ class LockStep:
         self._relay, live = self._begin_relay(), self.world.live
         reports: dict[int, Status] = {}
         while reports.keys() != set(live):
-            replies = self._call(told, self._relay.round == 0)
+            reports = self._call(told, self._relay.round == 0)
             if self.world.live != live:
                 return None
-            reports = {i: r.status for i, r in replies.items() if r.status is not None}
         return reports
 
     def _go_on(self, told: Mapping[int, Measured]) -> tuple[dict[int, Status], dict[int, Status]]:
@@ -85,8 +84,7 @@ class LockStep:
         last: dict[int, Status] = {}
         step = world.step_index - relay.instant
         while relay.round < most and int(relay.round * ratio + ROUNDING) == step:
-            replies = self._call(told, not first)
-            last = {i: r.status for i, r in replies.items() if r.status is not None}
+            last = self._call(told, not first)
             first = {i: first.get(i, own) for i, own in last.items()}
         return first, last
 
@@ -95,8 +93,8 @@ class LockStep:
         channel = Channel(world.mission.link, world.connect(), self._link_rng.spawn(1)[0])
         return _Relay(channel, world.step_index)
 
-    def _call(self, told: Mapping[int, Measured], begins: bool) -> dict[int, Reply]:
-        """Let all act in a round; return the replies of those that do not end meanwhile."""
+    def _call(self, told: Mapping[int, Measured], begins: bool) -> dict[int, Status]:
+        """Let all act in a round; return the reports of those that have decided and do not end."""
         self._serial += 1
         for i in self.world.live:
             own = told[i], tuple(self._relay.take(i)), begins
@@ -112,7 +110,7 @@ class LockStep:
             self.world.lose(gone)
             replies = {i: reply for i, reply in replies.items() if i not in gone}
         self._relay.send({i: reply.packet for i, reply in replies.items()})
-        return replies
+        return {i: reply.status for i, reply in replies.items() if reply.status is not None}
 
 
 class _Relay:
