@@ -94,8 +94,8 @@ def campaign(
         time_limit=time_limit,
         keep=keep,
     )
-    where = resume, workers, scheduler, allow_version, allow_many
-    fly_campaign(defined, Path(out), *where, progress)
+    options = resume, workers, scheduler, allow_version, allow_many, progress
+    fly_campaign(defined, Path(out), *options)
     return CampaignTable(Path(out))
 
 

@@ -47,9 +47,8 @@ def draw_campaign(
         raise InputError("", f"{table.folder}: has no such runs; there is nothing to draw")
     means = [n for n, term in enumerate(grouped.terms) if term.statistic in ("rate", "mean")]
     numbers = [n for n, term in enumerate(grouped.terms) if not term.is_rate]
-    few = grouped
-    if len(grouped.groups) > MAX_CURVES:
-        few = group_runs(table, (), show, where)
+    has_few = len(grouped.groups) <= MAX_CURVES
+    few = grouped if has_few else group_runs(table, (), show, where)
     pair = [parse_term(text, table) for text in scatter] or [grouped.terms[n] for n in numbers[:2]]
     figures = {}
     with matplotlib.rc_context(STYLE):

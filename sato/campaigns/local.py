@@ -53,8 +53,7 @@ def fly_locally(
                     flying[future] = number, trial
                 if not flying:
                     return
-                done = wait(flying, return_when=FIRST_COMPLETED).done
-                for future in done:
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     if future not in flying:
                         continue  # taken back
                     number, trial = flying.pop(future)

@@ -58,15 +58,12 @@ def write_report(table: CampaignTable, path: Path) -> Path:
 def _format_head(table: CampaignTable) -> list[str]:
     name = escape(table.campaign.name)
     exits = [f"{count} {exit}" for exit, count in table.exits().items()]
-    facts = {
-        "Runs": f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}",
-        "Version": f"sato {table.version}",
-        "Table": str(table.path),
-    }
+    runs = f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}"
+    facts = ["Runs", runs], ["Version", f"sato {table.version}"], ["Table", str(table.path)]
     return [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         f"<title>{name}</title><style>{_CSS}</style></head>\n<body>\n<h1>{name}</h1>",
-        _format_table([], [[key, value] for key, value in facts.items()]),
+        _format_table([], facts),
     ]
 
 

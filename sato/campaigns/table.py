@@ -107,7 +107,6 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self._connection.close()
 
     def __exit__(self, *error: object) -> None:
-        """Close the file."""
         self.close()
 
     @property

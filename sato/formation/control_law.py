@@ -85,8 +85,7 @@ def compute_velocity_commands(
 def _relative_error(actual: Array, desired: Array) -> Array:
     # From −1, where the length is zero, to 1, where it is far too large.
     most = np.maximum(actual, desired)
-    error = np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0)
-    return np.asarray(error)
+    return np.asarray(np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0))
 
 
 def _legacy_size_gain(error: Array, gain: float, slope: float, deadband: float) -> Array:

@@ -151,10 +151,7 @@ def track_nearby(
     velocity: Float[Array, "agents 2"],
     nearby: Nearby,
 ) -> Float[Array, "pairs 4"]:
-    """Track those within range, by what each agent measures; the tracks are changed in place.
-
-    Relative positions and velocities of those within range are returned [m, m/s].
-    """
+    """Return relative positions and velocities of those within range, tracked in place [m, m/s]."""
     i, j, _, measured = nearby
     (on_position, on_velocity), h = swarm.track_gains, swarm.mission.step
     track = np.asarray(state.tracks[i, j])

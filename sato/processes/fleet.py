@@ -87,11 +87,6 @@ class Fleet(AbstractContextManager["Fleet"]):
             if i in self.processes:
                 self.processes[i].kill()
 
-    def drain(self) -> None:
-        """Take in what vehicles say of themselves, when nothing else is expected of them."""
-        while self.receive(timeout=0.0) is not None:
-            pass
-
     def take_new(self) -> list[int]:
         """Return the vehicles that ask for a mission, each once."""
         found, self.new = sorted(set(self.new)), []

@@ -36,7 +36,8 @@ class LockStep:
         for number in range(len(world.mission.legs)):
             world.begin_leg(number)
             while True:
-                self.fleet.drain()
+                while self.fleet.receive(timeout=0.0) is not None:
+                    pass  # takes in what vehicles say of themselves
                 world.take_up()
                 self.presence.update()
                 if world.end_leg():

@@ -58,8 +58,7 @@ class World:
     @property
     def live(self) -> list[int]:
         """Numbers of the vehicles that are there."""
-        found: list[int] = np.flatnonzero(self.alive).tolist()
-        return found
+        return [int(i) for i in np.flatnonzero(self.alive)]
 
     def note(self, kind: str, agents: Any, **more: object) -> None:
         """Note an event of some vehicles."""
