@@ -14,13 +14,8 @@ def replace_atomically(path: Path) -> Iterator[Path]:
     """Yield a path to write a file or a folder to, and move it into place if all went well.
 
     Whatever is at the final path is kept until then, and replaced as a whole; where that is a
-    link, what it leads to is.
-
-    Args:
-        path: Final path; its folder is made if it is missing.
-
-    Raises:
-        OSError: Nothing can be written there; the error names the final path.
+    link, what it leads to is. Its folder is made if it is missing. An `OSError` names the final
+    path where nothing can be written.
     """
     try:
         final = Path(os.path.realpath(path))
@@ -49,14 +44,8 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
 
     They replace files of the same name, and others that are old. After an error or Ctrl-C all
     are as before. A process that is killed while files are moved may leave a part of the new
-    ones, or of the former ones, and never parts of both.
-
-    Args:
-        folder: Made if it is missing.
-        old: Files in the folder that are removed too.
-
-    Raises:
-        OSError: Nothing can be written there; the error names the folder.
+    ones, or of the former ones, and never parts of both. The folder is made if it is missing; an
+    `OSError` names it where nothing can be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -80,7 +80,7 @@ def keys(system: Annotated[str, Argument(metavar="SYSTEM", help="Name of a syste
 @app.command()
 def run(
     scenario: Scenario,
-    seed: Annotated[int, Option(help="Random seed.")] = 0,
+    seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Random seed.")] = 0,
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder; runs/NAME-SEED.")] = None,
     override: Overrides = None,
     quiet: Annotated[bool, Option("--quiet", help="Print errors and warnings only.")] = False,

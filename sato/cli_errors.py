@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperGroup
 
-from sato.scenario.errors import InputError, ScenarioError
+from sato.scenario.errors import InputError, ScenarioError, explain
 
 if TYPE_CHECKING:
     from sato.runs import Run
@@ -41,6 +41,8 @@ class CommandGroup(TyperGroup):
             raise typer.Exit(EXIT_FAILED) from None
         except (Exception, KeyboardInterrupt) as error:
             if type(error).__module__.startswith(("click", "typer")):
+                if hasattr(error.__cause__, "errors"):  # of pydantic, which Typer converts with
+                    setattr(error, "message", explain(error.__cause__).reason)  # noqa: B010
                 raise
             exec("")  # Python ends itself by the signal where one arose in code from a string
             sentence, code = _describe(error)
@@ -81,11 +83,7 @@ def ensure_writable(folder: Path) -> None:
 
 
 def save_somewhere(flown: "Run", folder: Path) -> None:
-    """Save a run, if not where it is to be, in a temporary folder, so that no flight is lost.
-
-    Raises:
-        OSError: Neither can be written to.
-    """
+    """Save a run, if not where it is to be, in a temporary folder, so that no flight is lost."""
     try:
         flown.save(folder)
     except OSError as error:

@@ -23,11 +23,7 @@ class _Notice(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 def announce_compilation(is_shown: bool = True) -> AbstractContextManager[None]:
-    """Print a line when kernels are compiled in a block, which takes seconds; once a process.
-
-    Args:
-        is_shown: True for the line; else there is none.
-    """
+    """Print a line when kernels are compiled in a block, which takes seconds; once a process."""
     return event.install_listener("numba:compile", _notice) if is_shown else nullcontext()
 
 

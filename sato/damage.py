@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -109,10 +110,9 @@ def _find_event_faults(
     data: RunData, needed: Mapping[str, str], sizes: Mapping[str, int]
 ) -> Iterator[str]:
     for number, text in enumerate(data["event"]):
-        try:
+        event = None
+        with suppress(ValueError):
             event = json.loads(str(text))
-        except ValueError:
-            event = None
         if not isinstance(event, dict) or not isinstance(event.get("kind"), str):
             yield f"event {number} is no table with a kind"
             continue
@@ -131,13 +131,11 @@ def _is_entry(event: dict[str, Any], name: str, value: Any, sizes: Mapping[str, 
         return False
     least, most = _find_range(name, sizes)
     values = value if type(value) is list else [value]
-    if not all(type(one) is int and least <= one <= most for one in values):
-        return False
-    if name in ("agents", "targets"):
-        return True
+    is_whole = all(type(entry) is int and least <= entry <= most for entry in values)
+    if name not in LISTS or name in ("agents", "targets"):
+        return is_whole
     is_of_agents = name == "target" and event["kind"] == "assignment"
-    count = len(event["agents"]) if is_of_agents else sizes["agent"]
-    return len(values) == count or name not in LISTS
+    return is_whole and len(values) == (len(event["agents"]) if is_of_agents else sizes["agent"])
 
 
 def _find_range(name: str, sizes: Mapping[str, int]) -> tuple[int, int]:

@@ -21,8 +21,7 @@ END = object()  # after the last frame
 def fly(system: System[Any, Any], mission: Any, rng: Generator) -> Iterator[Any]:
     """Fly a drawn mission, and yield frames whose arrays cannot be written to.
 
-    Raises:
-        CallbackError: A system of the user's own fails, or yields what is no frame of it.
+    A `CallbackError` says that a system of the user's own fails, or yields what is no frame of it.
     """
     simulate = system.simulate
     if not is_own(simulate):

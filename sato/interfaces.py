@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -133,9 +133,4 @@ class System(Generic[MissionT, FrameT]):
 
 def lazy(name: str) -> Callable[..., Any]:
     """Return a function, "module:function", that is imported when it is first called."""
-
-    def call(*args: Any) -> Any:
-        module, _, function = name.partition(":")
-        return getattr(import_module(module), function)(*args)
-
-    return call
+    return lambda *args: resolve_name(name)(*args)

@@ -62,19 +62,14 @@ def collect_run_data(
     system: System[MissionT, FrameT],
     frames: Sequence[FrameT],
     mission: MissionT,
-    stopped: str = "",
+    stopped: str = "",  # reason why the flight ended early
     **attributes: str | int | float,
 ) -> RunData:
-    """Collect the data of a run from its frames.
+    """Collect the data of a run from its frames, one an instant, and its drawn mission.
 
-    Args:
-        system: System of the frames.
-        frames: One an instant, in the order of time; at least one.
-        mission: Mission that was flown, drawn.
-        stopped: Reason why the flight ended early; empty where it did not.
-        attributes: Name of the scenario, its file as `scenario`, from which the run can be
-            repeated, its `origin` (`sato.scenario.origin`), seed and version; and wall_s and
-            peak_memory_mib, the time [s] and memory [MiB] that the simulation took.
+    Attributes are the name of the scenario, its file as `scenario`, from which the run can be
+    repeated, its `origin` (`sato.scenario.origin`), seed and version; and wall_s and
+    peak_memory_mib, the time [s] and memory [MiB] that the simulation took.
     """
     if not frames:
         raise ValueError("a run needs at least one frame")
@@ -100,10 +95,8 @@ def collect_run_data(
 def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     """Write run.nc and summary.json, each whole or not at all.
 
-    Figures, films and players of another run are removed: none is ever beside another's.
-
-    Raises:
-        OSError: There is no room, or no permission; what was there is kept.
+    What was there is kept if that fails. Figures, films and players of another run are removed:
+    none is ever beside another's.
     """
     plain = json.loads(json.dumps(summary, default=json_default))
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
@@ -142,10 +135,8 @@ def _read_ends(path: Path) -> bytes:
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 
-    A file of another name than run.nc has no summary beside it, for that may be another run's.
-
-    Raises:
-        RunFileError: The file is missing, damaged, or not a run.
+    A file of another name than run.nc has no summary beside it, for that may be another run's. A
+    `RunFileError` says that it is missing, damaged, or not a run.
     """
     import h5py
     import xarray

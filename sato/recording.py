@@ -51,9 +51,8 @@ def _log_instant(rerun: Any, recording: Any, scene: SwarmScene, k: int) -> None:
             recording.log(f"obstacles/{i}", mesh)
     for series in scene.series:
         if np.isfinite(series.values[k]):
-            recording.log(
-                f"curves/{series.name.replace(' ', '_')}", rerun.Scalars(float(series.values[k]))
-            )
+            name = f"curves/{series.name.replace(' ', '_')}"
+            recording.log(name, rerun.Scalars(float(series.values[k])))
 
 
 def _color(name: str) -> tuple[int, int, int]:

@@ -37,16 +37,10 @@ def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
 def write_figures(
     figures: Mapping[str, Figure], directory: Path, pdf: bool = False, digest: object = ""
 ) -> list[Path]:
-    """Write figures into a directory as PNG, or PDF, in place of all that were written before.
+    """Write figures by name into a directory, in place of all that were written before.
 
     The directory is made if it is missing. Where one cannot be written, all that were there are
-    kept.
-
-    Args:
-        figures: By name.
-        directory: Folder to write.
-        pdf: Write PDF.
-        digest: Digest of the data of their run, which their metadata hold.
+    kept. The metadata of the files hold the digest of the data of their run.
     """
     old = [path for path in find_drawn(directory) if path.suffix in FIGURE_FORMATS]
     names = [f"{name}.{'pdf' if pdf else 'png'}" for name in figures]
@@ -67,21 +61,10 @@ def animate(
     frames: Amount = MAX_FRAMES,
     progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Animate a run.
+    """Animate a run in `run.mp4` or `run.gif`; a file that was there is kept if that fails.
 
-    Args:
-        scene: Scene of the run.
-        directory: Made if it is missing.
-        digest: Digest of the data of the run, which the metadata of the film hold.
-        fps: Frames per second.
-        frames: At most so many frames, evenly spaced in time.
-        progress: Called with the frames drawn so far and their number.
-
-    Returns:
-        The file, `run.mp4` or `run.gif`.
-
-    Raises:
-        OSError: The file cannot be written; one that was there is kept.
+    The film has at most so many frames, evenly spaced in time, so many a second; its metadata hold
+    the digest of the data of the run. Progress is called with the frames drawn so far and of all.
     """
     # Browsers and slides play even sizes and yuv420p.
     even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"]

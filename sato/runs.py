@@ -32,7 +32,7 @@ from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.definition import Seed
-from sato.scenario.errors import InputError, ScenarioError, format_value
+from sato.scenario.errors import InputError, ScenarioError
 from sato.scenario.file import Mission, describe_own, from_dict, parse, read
 from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
@@ -173,11 +173,9 @@ class Run:
             raise InputError("", f"runs of {system.name} have no scene that a viewer could show")
         if not len(self.recorded["time"]):
             raise record.RunFileError("the run has no instants, and nothing can be shown")
-        broken = (
-            each for each in self.report.broken if each.agents and np.isfinite(each.time or 0.0)
-        )
-        scene = system.scene(self.recorded, self._readable_mission)
-        return replace(scene, verdict=self.report.line, broken=tuple(broken))
+        report, scene = self.report, system.scene(self.recorded, self._readable_mission)
+        located = (p for p in report.broken if p.agents and np.isfinite(p.time or 0.0))
+        return replace(scene, verdict=report.line, broken=tuple(located))
 
     def player(self, path: str | Path) -> Path:
         """Write the run as one HTML file, which plays it in a browser without a network."""
@@ -247,11 +245,8 @@ def run(
     began = perf_counter()
     overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
-    quiet_blas, compiling = (
-        threadpool_limits(1, user_api="blas"),
-        announce_compilation(progress is True),
-    )
-    with quiet_blas, compiling, strictly(strict):
+    quiet_blas = threadpool_limits(1, user_api="blas")
+    with quiet_blas, announce_compilation(progress is True), strictly(strict):
         mission, drawn, rng = _draw(scenario, seed, overrides)
         system, origin = load_system(mission.system), Origin.of(scenario, overrides)
         if processes is not None:
@@ -288,10 +283,9 @@ def simulate(
     """Fly a mission and yield its frames one by one.
 
     Args:
-        scenario: Name of a built-in scenario, TOML file, mission, or dict with the keys of a
-            file.
-        seed: Random seed, from 0 to 2⁶⁴ − 1.
-        overrides: As of `run`.
+        scenario: As of `run`, and so are the others.
+        seed: Random seed.
+        overrides: Changes of the scenario.
 
     Raises:
         ValueError: The scenario cannot be flown.
@@ -333,8 +327,6 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
 def _draw(
     scenario: Scenario, seed: Any, overrides: tuple[Setting, ...]
 ) -> tuple[Any, Any, Generator]:
-    if not 0 <= seed < 2**64:
-        raise InputError("seed", f"must be an integer from 0 to 2⁶⁴ − 1, got {format_value(seed)}")
     if isinstance(scenario, str | Path):
         mission = read(scenario, overrides)
     elif isinstance(scenario, Mapping):

@@ -22,20 +22,14 @@ from sato.systems import load_system
 def verify_run(
     data: RunData, mission: Any | None, summary: Mapping[str, Any] | None = None
 ) -> Report:
-    """Check a run by recomputing what its data and its summary say.
+    """Check a run by recomputing what its data and, if given, its summary say.
 
-    Args:
-        data: Data of the run.
-        mission: Mission of the run, not drawn; without it, only what needs no mission is
-            recomputed, and the report lists the rest as skipped.
-        summary: Summary to be checked too, if there is one.
-
-    Raises:
-        RunFileError: The file was altered so that nothing can be recomputed.
+    The mission is not drawn; without it, only what needs no mission is recomputed, and the report
+    lists all else as skipped. A `RunFileError` says that nothing can be, as the file was altered.
     """
     is_unaltered = data.attrs.get("digest") == data.compute_digest()
     try:
-        found = _check_without_mission(data) if mission is None else _check(data, mission)
+        found = _check_alone(data) if mission is None else _check(data, mission)
     except (LookupError, TypeError, ValueError, RuntimeError) as error:
         if is_unaltered:
             raise
@@ -83,8 +77,8 @@ def _report_damage(data: RunData, drawn: Any | None) -> Report | None:
     return Report((Promise("record", False, 1.0, 0.0, damage),), {}, names, "the record is damaged")
 
 
-def _check_without_mission(data: RunData) -> Report:
-    if (damaged := _report_damage(data, None)) is not None:
+def _check_alone(data: RunData) -> Report:
+    if damaged := _report_damage(data, None):
         return damaged
     record: RunRecord[None, Any, Any] = RunRecord.from_data(data, None)
     frames = record.frames

@@ -221,6 +221,18 @@ def test_words_that_are_no_command_exit_with_2(home, words):
     assert os.listdir(home) == ["tiny.toml"]
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("run tiny.toml --seed 1e3", "'--seed': must be an integer, got \"1e3\""),
+        ("run tiny.toml --speed fast", "'--speed': must be a number, got \"fast\""),
+        ("campaign run many.toml --trials 0", "'--trials': must be at least 1, got \"0\""),
+    ],
+)
+def test_options_of_another_type_or_range_are_refused_in_our_words(home, words, reason):
+    assert call(*words.split()).output.endswith(f"Error: Invalid value for {reason}\n")
+
+
 def test_a_run_leaves_its_file_and_its_summary(home):
     result = call("run", "tiny.toml", "--seed", "3")
     assert result.exit_code == 0, result.output

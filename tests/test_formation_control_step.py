@@ -2,6 +2,7 @@
 
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -43,25 +44,24 @@ def frames(agents=8, offset=10.0, drift=0.01, seed=None):
     return CoordinateFrames(np.exp(1j * drawn.yaw), np.array(drawn.offset), np.array(drawn.drift))
 
 
-def swarm(frames, data=None, **changes):
+def swarm(frames, data=None, noise=0.0, every=1, delay=0, loss=0.0, **changes):
     """Constants of a swarm of eight without noise, loss and delay, but for the changes."""
-    return StepParameters(
-        FormationData.from_gains(gains()) if data is None else data,
-        frames,
-        ControlLaw(),
-        RULES,
-        keep_out=KEEP_OUT,
-        max_speed=MAX_SPEED,
-        max_climb=0.3,
-        max_acceleration=0.5,
-        max_climb_acceleration=0.8,
-        step=STEP,
-        noise=0.0,
-        track_gains=compute_track_gains(changes.get("noise", 0.0), 0.5, STEP),
-        steps_per_message=1,
-        message_delay=0,
-        message_loss=0.0,
-    )._replace(**changes)
+    mission = {
+        "coordinate_frames": frames,
+        "control_law": ControlLaw(),
+        "avoidance": RULES,
+        "keep_out": KEEP_OUT,
+        "max_speed": MAX_SPEED,
+        "max_climb": 0.3,
+        "max_acceleration": 0.5,
+        "max_climb_acceleration": 0.8,
+        "step": STEP,
+        "frames": SimpleNamespace(noise=noise),
+        "timed_link": SimpleNamespace(late=delay, loss_probability=loss),
+    }
+    formation = FormationData.from_gains(gains()) if data is None else data
+    tracking = compute_track_gains(noise, 0.5, STEP)
+    return StepParameters(SimpleNamespace(**mission | changes), formation, tracking, every)
 
 
 def roles(agents=8, active=None, commanded=-1, velocity=(0.0, 0.0, 0.0)):
@@ -82,7 +82,7 @@ def step(state, held, parameters, number, rng):
 
 def simulate(parameters, start, count, own_roles=None, seed=0):
     """Yield a copy of the state after every step."""
-    delay, rng = parameters.message_delay, np.random.default_rng(seed)
+    delay, rng = parameters.mission.timed_link.late, np.random.default_rng(seed)
     state, held = FormationState.at_rest(start, delay), own_roles or roles(len(start))
     for number in range(count):
         step(state, held, parameters, number, rng)
@@ -98,7 +98,7 @@ def test_motion_does_not_depend_on_the_coordinate_frames(seed):
     # Step by step from the same state: in a crowd, rounding errors grow.
     rng = np.random.default_rng(seed)
     aligned, turned = swarm(frames()), swarm(frames(offset=50.0, drift=0.0, seed=seed))
-    rotation = turned.coordinate_frames.rotation
+    rotation = turned.mission.coordinate_frames.rotation
     one, length = FormationState.at_rest(crowded(seed), 0), 0.0
     for number in range(300):
         other = FormationState(*(array.copy() for array in one))
@@ -157,7 +157,7 @@ def test_tracks_follow_others_more_closely_than_measurements(noise, most):
     start, errors = np.column_stack([2.4 * np.arange(8), np.zeros(8), np.ones(8)]), []
     own = swarm(frames(seed=5, drift=0.0), noise=noise)
     states = list(simulate(own, start, 200, own_roles))
-    turn = own.coordinate_frames.rotation
+    turn = own.mission.coordinate_frames.rotation
     for before, state in pairwise(states[100:]):  # tracked before the last motion
         x, v = (part[:, 0] + 1j * part[:, 1] for part in (before.position, before.velocity))
         for i, j in np.argwhere(~np.isnan(state.tracks[..., 0])):
@@ -169,7 +169,7 @@ def test_tracks_follow_others_more_closely_than_measurements(noise, most):
 @pytest.mark.parametrize(("delay", "every"), [(0, 1), (3, 1), (2, 5)])
 def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
     graph, sent = gains().formation.graph, []
-    delayed = swarm(frames(), steps_per_message=every, message_delay=delay)
+    delayed = swarm(frames(), every=every, delay=delay)
     for number, state in enumerate(simulate(delayed, crowded(1), 40)):
         if number % every == 0:
             sent.append(state.measured_position)
@@ -184,7 +184,7 @@ def test_messages_arrive_late_and_at_neighbors_alone(delay, every):
 def test_lost_message_leaves_the_last_one_received():
     i, j = np.nonzero(gains().formation.graph)
     sent, ages = [], []
-    lossy = swarm(frames(), noise=0.01, message_loss=0.3)
+    lossy = swarm(frames(), noise=0.01, loss=0.3)
     for state in simulate(lossy, crowded(1), 500):
         sent.append(state.measured_position)
         if len(sent) >= 12:  # no two of them are equal
@@ -197,7 +197,7 @@ def test_lost_message_leaves_the_last_one_received():
 
 
 def test_agents_hover_until_the_first_message_arrives():
-    *before, after = simulate(swarm(frames(), message_delay=5), crowded(1) * [10, 10, 1], 6)
+    *before, after = simulate(swarm(frames(), delay=5), crowded(1) * [10, 10, 1], 6)
     assert not any(state.velocity.any() for state in before)
     assert np.linalg.norm(after.velocity, axis=1).min() > 0
 

@@ -23,11 +23,9 @@ FAREWELL = 1.0  # time that the scheduler is given to hear of a time limit [s]
 
 @contextmanager
 def connect(address: str) -> Iterator[Any]:
-    """Connect to a scheduler by its address, "tcp://host:8786".
+    """Connect to a scheduler by its address, "tcp://host:8786"; refuse workers with threads.
 
-    Raises:
-        InputError: Dask is not installed, this is no address, or workers have several threads.
-        WorkerError: The scheduler cannot be reached.
+    A `WorkerError` says that it cannot be reached.
     """
     if not ADDRESS.fullmatch(address):
         raise InputError("", f"a scheduler has an address as tcp://HOST:8786, got {address}")
@@ -53,12 +51,8 @@ def fly_on_cluster(
 
     Dask flies the trial of a worker that died on another one, up to its own limit
     (`distributed.scheduler.allowed-failures`). A thread cannot be ended, so a worker ends itself
-    at the time limit, and its nanny starts another one. Arguments are as of `fly_locally`.
-
-    Raises:
-        InputError: Workers have no nannies where there is a time limit, or a function of the
-            user's cannot be imported by them.
-        WorkerError: The scheduler was lost.
+    at the time limit, and its nanny starts another one; workers without are refused. Arguments and
+    errors are as of `fly_locally`; a `WorkerError` also says that the scheduler was lost.
     """
     from distributed import as_completed
 

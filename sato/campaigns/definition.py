@@ -3,7 +3,7 @@
 import inspect
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from hashlib import sha256
@@ -67,19 +67,19 @@ def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
 
 
 def _as_cases(value: Any) -> dict[str, dict[str, Any]]:
-    cases = {}
-    for name, settings in (value or {}).items():
-        with errors_in(name):
-            cases[name] = dict(_flatten_tables(settings))
-    return cases
+    return _convert_each((value or {}).items(), lambda table: dict(_flatten_tables(table)))
 
 
 def _as_distributions(value: Any) -> dict[str, Distribution]:
-    draws = {}
-    for key, table in _flatten_tables(value or {}):
+    return _convert_each(_flatten_tables(value or {}), as_distribution)
+
+
+def _convert_each(pairs: Iterable[tuple[str, Any]], convert: Any) -> dict[str, Any]:
+    found = {}
+    for key, value in pairs:
         with errors_in(key):
-            draws[key] = as_distribution(table)
-    return draws
+            found[key] = convert(value)
+    return found
 
 
 def _flatten_tables(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
@@ -273,10 +273,8 @@ class Campaign(Definition):
 def read_campaign(path: Path, **changes: Any) -> Campaign:
     """Read a campaign's TOML file; files that it names lie beside it.
 
-    Changes are of keys of its table [campaign]; None leaves one as it is.
-
-    Raises:
-        ScenarioError: It cannot be read, or is no campaign.
+    Changes are of keys of its table [campaign]; None leaves one as it is. A `ScenarioError` says
+    that it cannot be read, or is no campaign.
     """
     data = load_toml(read_text(path), str(path))
     try:

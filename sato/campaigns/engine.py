@@ -66,8 +66,8 @@ def campaign(
         columns: Function of a run that returns a dict of more columns.
         time_limit: Time after which a run is ended [s].
         keep: Runs whose files are kept in the folder.
-        resume: Go on with a table; this and the next five as in `fly_campaign`.
-        workers: Number of processes.
+        resume: Go on with a table; rows whose worker died are flown again.
+        workers: Number of processes; one a core by default.
         scheduler: Address of a Dask scheduler.
         allow_version: Resume with another version.
         allow_many: Allow more than a million runs.
@@ -94,23 +94,14 @@ def campaign(
         time_limit=time_limit,
         keep=keep,
     )
-    fly_campaign(
-        defined,
-        Path(out),
-        resume=resume,
-        workers=workers,
-        scheduler=scheduler,
-        allow_version=allow_version,
-        allow_many=allow_many,
-        progress=progress,
-    )
+    options = resume, workers, scheduler, allow_version, allow_many, progress
+    fly_campaign(defined, Path(out), *options)
     return CampaignTable(Path(out))
 
 
 def fly_campaign(
     campaign: Campaign,
     folder: Path,
-    *,
     resume: bool = False,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -149,11 +140,9 @@ def fly_campaign(
 
 
 def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
-    """Fly a row again from itself, by its number, keep the run, and compare the cells.
+    """Fly a row again by its number, keep the run, and return the outcome and differing columns.
 
-    Returns:
-        The outcome, and the columns that differ; None where the worker of the row died or was
-        ended, and there is nothing to compare.
+    There is nothing to compare, and None, where the worker of the row died or was ended.
     """
     row = table.row(number)
     given = table.campaign.trial(number, str(table.folder.resolve()))

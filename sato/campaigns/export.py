@@ -16,11 +16,7 @@ def export(table: CampaignTable, path: Path, format: str = "csv") -> Path:
     """Write all runs of a campaign for other tools, a row a run, and return the path.
 
     What a run does not have is empty, or null. A file that is there is replaced once all is
-    written. Formats are "csv" and "parquet".
-
-    Raises:
-        InputError: There is no such format, or pyarrow is not installed.
-        OSError: The file cannot be written.
+    written. Formats are "csv" and "parquet", which needs pyarrow.
     """
     if format not in FORMATS:
         raise InputError("", f'there is no format "{format}", only {join_names(FORMATS, "and")}')

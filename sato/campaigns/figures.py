@@ -37,24 +37,18 @@ def draw_campaign(
     where: Texts = (),
     scatter: Texts = (),
 ) -> dict[str, Figure]:
-    """Draw the runs of a campaign; arguments are as of `group_runs`.
+    """Draw the runs of a campaign, at least one; arguments and errors are as of `group_runs`.
 
     The scatter plot is of the terms of two axes, or else of the first two numbers that are shown.
-
-    Returns:
-        Figures by name: "rates" and "distributions" by group, "grid" over two columns, "scatter".
-
-    Raises:
-        InputError: A column is unknown, or no run is left.
+    Figures are by name: "rates" and "distributions" by group, "grid" over two columns, "scatter".
     """
     grouped = group_runs(table, by, show, where)
     if not grouped.groups:
         raise InputError("", f"{table.folder}: has no such runs; there is nothing to draw")
     means = [n for n, term in enumerate(grouped.terms) if term.statistic in ("rate", "mean")]
     numbers = [n for n, term in enumerate(grouped.terms) if not term.is_rate]
-    few = grouped
-    if len(grouped.groups) > MAX_CURVES:
-        few = group_runs(table, (), show, where)
+    has_few = len(grouped.groups) <= MAX_CURVES
+    few = grouped if has_few else group_runs(table, (), show, where)
     pair = [parse_term(text, table) for text in scatter] or [grouped.terms[n] for n in numbers[:2]]
     figures = {}
     with matplotlib.rc_context(STYLE):

@@ -30,11 +30,8 @@ def fly_locally(
     """Fly trials in processes, and yield them as they end.
 
     Each process has a pool of its own, which is replaced when it dies: a process that is ended
-    while it takes a trial may leave its pipe locked, and what it took is not known.
-
-    Raises:
-        InputError: A function of the user's cannot be imported by the workers.
-        WorkerError: Workers end before they begin.
+    while it takes a trial may leave its pipe locked, and what it took is not known. Refuse
+    functions that workers cannot import; a `WorkerError` says that these end before they begin.
     """
     context, remaining, futile = make_context(PRELOADED), iter(trials), 0
     again: list[Trial] = []  # trials of processes that died before they began
@@ -56,8 +53,7 @@ def fly_locally(
                     flying[future] = number, trial
                 if not flying:
                     return
-                done = wait(flying, return_when=FIRST_COMPLETED).done
-                for future in done:
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     if future not in flying:
                         continue  # taken back
                     number, trial = flying.pop(future)

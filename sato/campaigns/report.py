@@ -35,12 +35,7 @@ pre { background: #f5f5f5; padding: 0.8rem; overflow-x: auto }
 
 
 def write_report(table: CampaignTable, path: Path) -> Path:
-    """Write the report of a campaign, HTML; a file that is there is replaced once all is written.
-
-    Raises:
-        InputError: The campaign has no runs yet.
-        OSError: The file cannot be written.
-    """
+    """Write the report of a campaign that has runs; a file is replaced once all is written."""
     figures = draw_campaign(table)
     text = "\n".join(
         [
@@ -63,15 +58,12 @@ def write_report(table: CampaignTable, path: Path) -> Path:
 def _format_head(table: CampaignTable) -> list[str]:
     name = escape(table.campaign.name)
     exits = [f"{count} {exit}" for exit, count in table.exits().items()]
-    facts = {
-        "Runs": f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}",
-        "Version": f"sato {table.version}",
-        "Table": str(table.path),
-    }
+    runs = f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}"
+    facts = ["Runs", runs], ["Version", f"sato {table.version}"], ["Table", str(table.path)]
     return [
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">',
         f"<title>{name}</title><style>{_CSS}</style></head>\n<body>\n<h1>{name}</h1>",
-        _format_table([], [[key, value] for key, value in facts.items()]),
+        _format_table([], facts),
     ]
 
 

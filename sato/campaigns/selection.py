@@ -152,11 +152,8 @@ def group_runs(
 ) -> GroupTable:
     """Group runs by columns, in the order in which they come, and collect the values of terms.
 
-    Args:
-        table: Table of the campaign.
-        by: Columns; those of the file, or else of its grid, if None.
-        show: Terms; those of the file, or else `DEFAULT_TERMS`, if empty.
-        where: Conditions that the runs must meet.
+    Columns and terms are those of the file if none are given, or else those of its grid and
+    `DEFAULT_TERMS`; runs must meet the conditions.
     """
     by = table.groups if by is None else by
     terms = parse_terms(table, show)

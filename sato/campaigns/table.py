@@ -107,7 +107,6 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self._connection.close()
 
     def __exit__(self, *error: object) -> None:
-        """Close the file."""
         self.close()
 
     @property
@@ -188,11 +187,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self.campaign = campaign
 
     def add(self, trial: Trial, outcome: Outcome, attempts: int) -> None:
-        """Add the row of a trial, or replace it, in one transaction.
-
-        Raises:
-            TableError: The disk is full, or another program has locked the table.
-        """
+        """Add the row of a trial, or replace it, in one transaction."""
         cells, text = self.cells(trial, outcome), outcome.get("scenario")
         try:
             with describe_errors(self.path), self._connection:  # commits, or rolls back
@@ -264,11 +259,9 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
 
 @checked
 def open_table(folder: str | Path) -> CampaignTable:
-    """Open the table of a campaign to read it, also while the campaign runs.
+    """Open the table of a campaign to read it, also while the campaign runs; refuse other folders.
 
-    Raises:
-        InputError: The folder holds no campaign.
-        TableError: The file is damaged, or locked by another program.
+    A `TableError` says that the file is damaged, or locked by another program.
     """
     return CampaignTable(Path(folder))
 

@@ -165,7 +165,7 @@ class Report:
 
     @property
     def _reason(self) -> str:
-        verdict, aims = self.verdict, [each for each in self.promises if each.kind == "aim"]
+        verdict = self.verdict
         if verdict == "broken":
             wrong = [promise for promise in self.broken if promise.kind != "aim"]
             first, *others = sorted(wrong, key=lambda promise: promise.kind != "safety")
@@ -173,14 +173,15 @@ class Report:
             names[LISTED:] = [f"{len(names) - LISTED} more"] * (len(names) > LISTED)
             return f"{first.name}, {first.text}" + f"; also {', '.join(names)}" * bool(names)
         if verdict == "not reached":
-            missed = [promise.text for promise in aims if not promise.kept]
-            return missed[0] if missed else "the check of the system says so"
+            missed = (promise.text for promise in self.broken)
+            return next(missed, "the check of the system says so")
         count = f"{len(self.promises)} promises"
         if self.failure:
             return f"the check ended early, {self.failure}"
         if verdict == "unchecked":
             return f"{count} hold, but {len(self.skipped)} were skipped, {self.skip_reason}"
-        return ", ".join([count, *(promise.message for promise in aims[-1:])])
+        aims = [promise.message for promise in self.promises if promise.kind == "aim"]
+        return ", ".join([count, *aims[-1:]])
 
     @property
     def entries(self) -> dict[str, Any]:

@@ -170,8 +170,7 @@ class SolverProcess:
         except (EOFError, ConnectionError):
             self._process.join()
             end = SolveOutcome("crashed", describe_exit(self._process.exitcode))
-        missing = len(pair) - len(outcomes)
-        if missing:
+        if missing := len(pair) - len(outcomes):
             self.close()
         # A solver that did not reach the second solve is not correct there either.
         return outcomes + missing * [end]

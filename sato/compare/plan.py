@@ -50,11 +50,8 @@ def make_plan(
     """Make a plan from names; an empty list takes all known solvers, installed or not, or families.
 
     Without any, the size is small, the relative tolerance of residuals and gap is 1e-6, and the
-    patience is 0.15 s; all sizes, all tolerances and 1 s where the plan takes all.
-
-    Raises:
-        ValueError: There is no such name, a solver that is named is not installed or supports
-            none of the problems, or nothing is left.
+    patience is 0.15 s; all sizes, all tolerances and 1 s where the plan takes all. Refuse unknown
+    names, and solvers that are named and not installed, or support none of the problems.
     """
     available = list_families()
     _check_names("solver", solvers, known)

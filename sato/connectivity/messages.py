@@ -22,10 +22,8 @@ def exchange_messages(
 ) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
-    The inbox, the messages on their way and the outages are changed in place.
-
-    Returns:
-        What is known, with the newest rows of the adjacency matrix of those known and received.
+    The inbox, the messages on their way and the outages are changed in place; what is known is
+    returned with the newest rows of the adjacency matrix of those known and received.
     """
     measurements, inbox, estimates = known
     link, now = mission.link, number * mission.step

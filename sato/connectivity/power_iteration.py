@@ -38,20 +38,12 @@ def spectral_radius(gains: PowerIterationGains, agents: int) -> float:
 
 def iterate_power(
     iterates: PowerIterates,
-    weight: Float[Array, "n n"],
-    hears: Bool[Array, "n n"],
-    gains: PowerIterationGains,
+    weight: Float[Array, "n n"],  # A_ij as estimated by agent i
+    hears: Bool[Array, "n n"],  # True where agent i hears agent j
+    gains: PowerIterationGains,  # complete
     exchanges: int,
 ) -> PowerIterates:
-    """Exchange iterates with all neighbors, synchronously.
-
-    Args:
-        iterates: Iterates of each agent.
-        weight: A_ij as estimated by agent i.
-        hears: True where agent i hears agent j.
-        gains: Complete gains.
-        exchanges: Number of exchanges.
-    """
+    """Exchange iterates with all neighbors so many times, synchronously."""
     v, mean, held = iterates
     h, L, neighbors = gains.exchange_period, laplacian(weight * hears), laplacian(1.0 * hears)
     for _ in range(exchanges):

@@ -35,7 +35,7 @@ def make_scene(data: RunData, mission: Connectivity) -> SwarmScene:
     """Make the scene of a run; links are the edges of positive weight."""
     record = ConnectivityRecord.from_data(data, mission)
     frames, alive = record.frames, record.frames.alive
-    nearest = nearest_distances(frames.position, alive)
+    nearest, limit = nearest_distances(frames.position, alive), mission.repulsion.min_distance
     role = np.where(alive, np.arange(alive.shape[1]) > 0, np.nan)
     estimate = np.where(alive, frames.lambda2_estimate, np.nan)
     return SwarmScene(
@@ -43,7 +43,7 @@ def make_scene(data: RunData, mission: Connectivity) -> SwarmScene:
         position=frames.position,
         velocity=frames.velocity,
         status=np.where(alive, ALIVE, LOST),
-        diameter=np.full(alive.shape[1], mission.repulsion.min_distance),
+        diameter=np.full(alive.shape[1], limit),
         links=Links("edges of positive weight", listed=tuple(_list_edges(record))),
         targets=_collect_waypoints(record),
         colorings=(
@@ -54,13 +54,7 @@ def make_scene(data: RunData, mission: Connectivity) -> SwarmScene:
             Coloring("own estimate of λ₂", estimate),
         ),
         series=(
-            Series(
-                "least separation",
-                "m",
-                least_over_agents(nearest),
-                mission.repulsion.min_distance,
-                "nearest allowed",
-            ),
+            Series("least separation", "m", least_over_agents(nearest), limit, "nearest allowed"),
             Series("λ₂", "", frames.lambda2, mission.potential.lambda2_min, "least allowed"),
         ),
         stages=((0.0, "flight"),),

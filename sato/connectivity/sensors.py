@@ -35,8 +35,7 @@ def compute_views(
     distance, bearing = bearings(position, yaw)
     axis = np.array(camera.optical_axis)
     if isinstance(mission.plant, Quadrotor):
-        tilted = rotate_to_heading_frame(axis, vehicles.acceleration, yaw)
-        axis = tilted[..., None, :]
+        axis = rotate_to_heading_frame(axis, vehicles.acceleration, yaw)[..., None, :]
     is_clear = (camera.d_min < distance) & (distance < camera.d_max)
     is_clear &= alive[..., None] & alive[..., None, :]
     if mission.occlusion:

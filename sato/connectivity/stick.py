@@ -69,13 +69,7 @@ class WaypointStick(Stick):
         return replace(self, waypoints=leader + self.spacing * np.cumsum(legs, axis=0))
 
     def command_velocity(self, time: float, position: Vector3, waypoints_reached: int) -> Vector3:
-        """Compute the commanded velocity in the world frame [m/s].
-
-        Args:
-            time: Time since the start [s].
-            position: Position of the leader [m].
-            waypoints_reached: Number of waypoints that it has reached.
-        """
+        """Compute the velocity commanded at a time [s] and a place of the leader [m], in m/s."""
         held = time - self.start_time
         is_held = held >= 0 and held % (self.hold_time + self.release_time) < self.hold_time
         if waypoints_reached >= len(self.waypoints) or not is_held:
@@ -133,11 +127,7 @@ class RecordedStick(Stick):
         return replace(stick, times=stick.times - stick.times[0])
 
     def require_command(self, duration: float) -> None:
-        """Refuse a drawn stick that says nothing in a flight of this duration [s].
-
-        Raises:
-            InputError: It begins after the end of the flight, or ends at rest before its start.
-        """
+        """Refuse a drawn stick that begins after a flight of this duration [s], or ends before."""
         first, last = self.times[[0, -1]].tolist()
         if last < 0 and not self.velocities[-1].any():
             reason = f"lie from {first:.10g} to {last:.10g} s, before the flight, which begins at 0"

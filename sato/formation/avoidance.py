@@ -52,18 +52,8 @@ def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     left at all, the agent comes as near to standing still as it may. A command that has to change
     is turned to the right first, so that two that meet head-on pass.
 
-    Args:
-        u: Wanted velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
-        v: Velocity flown, (2,) [m/s].
-        others: Relative positions and velocities of the others, (≥ count, 4) [m, m/s].
-        count: Number of others.
-        keep_out: Least distance of two agents [m].
-        rules: Numbers of the avoidance, a `CollisionAvoidance`.
-        max_speed: Largest speed [m/s].
-        planes: Buffer for half-planes n·u ≤ b, (≥ 2 count + 8, 3).
-
-    Returns:
-        True where the velocity was changed.
+    Arguments are as of `avoid_all`, of one agent and its `count` others; the vertical part of u is
+    left alone, and the buffer is for half-planes n·u ≤ b. The result is True where u was changed.
     """
     if count == 0:
         return False

@@ -47,11 +47,11 @@ class FormationData(NamedTuple):
 
 
 def compute_velocity_commands(
-    me: Int[Array, " k"],
+    me: Int[Array, " k"],  # point that each agent holds
     seen: NeighborLocations,
     formation: FormationData,
     law: ControlLaw,
-    legacy: bool,
+    legacy: bool,  # True for the size control of the paper's code
 ) -> Float[Array, "k 3"]:
     """Compute the velocity commands of agents, each in its own frame [m/s].
 
@@ -60,13 +60,6 @@ def compute_velocity_commands(
     Σ_j c_ij q_ij + s w_ij (q_ij − p_ij), since all agents agree on the vertical. For a formation
     p both are −∂V/∂q_i of one potential V, since A is symmetric and f_ij = f_ji; V also
     decreases where commands are scaled, or turned by less than 90° [Lusk2020, Sec. III-C].
-
-    Args:
-        me: Index of the point that each agent holds.
-        seen: Holder of each neighboring point, relative to the agent.
-        formation: Formation with its gains.
-        law: Numbers of the law.
-        legacy: True for the size control of the paper's code.
     """
     _, gains_xy, gains_z, far, p_z, weight = (part[me] for part in formation)
     is_known = seen.is_known
@@ -92,8 +85,7 @@ def compute_velocity_commands(
 def _relative_error(actual: Array, desired: Array) -> Array:
     # From −1, where the length is zero, to 1, where it is far too large.
     most = np.maximum(actual, desired)
-    error = np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0)
-    return np.asarray(error)
+    return np.asarray(np.divide(actual - desired, most, out=np.zeros_like(most), where=most > 0))
 
 
 def _legacy_size_gain(error: Array, gain: float, slope: float, deadband: float) -> Array:

@@ -27,12 +27,7 @@ from sato.formation.sensing import (
     sense_nearby,
     track_nearby,
 )
-from sato.formation.settings import (
-    BLOCKED_SPEED_SHARE,
-    CollisionAvoidance,
-    ControlLaw,
-    CoordinateFrames,
-)
+from sato.formation.settings import BLOCKED_SPEED_SHARE
 from sato.network.outages import PairOutages
 
 MAX_WANDERS = 8  # after which wandering takes no longer
@@ -41,38 +36,19 @@ MAX_WANDERS = 8  # after which wandering takes no longer
 class StepParameters(NamedTuple):
     """Constants of the flight to one formation."""
 
+    mission: Formation  # drawn
     formation: FormationData
-    # By the names that they have in the mission:
-    coordinate_frames: CoordinateFrames
-    control_law: ControlLaw
-    avoidance: CollisionAvoidance
-    keep_out: float  # [m]
-    max_speed: float  # [m/s]
-    max_climb: float  # [m/s]
-    max_acceleration: float  # [m/s²]
-    max_climb_acceleration: float  # [m/s²]
-    step: float  # of control [s]
-
-    noise: float  # standard deviation of a measured coordinate [m]
     track_gains: tuple[float, float]  # of position and of velocity, see `compute_track_gains`
     steps_per_message: int  # control steps between two position messages
-    message_delay: int  # messages by which a message arrives late
-    message_loss: float  # probability that a message is lost
 
     @classmethod
     def for_leg(cls, mission: Formation, leg: int) -> "StepParameters":
         """Collect the constants of a leg of a drawn mission."""
-        link, noise = mission.timed_link, mission.frames.noise
-        same = {name: getattr(mission, name) for name in cls._fields[1:10]}
-        return cls(
-            FormationData.from_gains(mission.gains[leg]),
-            **same,
-            noise=noise,
-            track_gains=compute_track_gains(noise, mission.max_acceleration, mission.step),
-            steps_per_message=max(1, round(link.round / mission.step)),
-            message_delay=link.late,
-            message_loss=link.loss_probability,
-        )
+        step, noise = mission.step, mission.frames.noise
+        track_gains = compute_track_gains(noise, mission.max_acceleration, step)
+        steps_per_message = max(1, round(mission.timed_link.round / step))
+        formation = FormationData.from_gains(mission.gains[leg])
+        return cls(mission, formation, track_gains, steps_per_message)
 
 
 class Roles(NamedTuple):
@@ -88,7 +64,7 @@ class Roles(NamedTuple):
         """Return the holders of the points beside each agent's own, as each agent knows them."""
         points = swarm.formation.neighbors[self.assignment]
         holder = self.holder[np.arange(len(points))[:, None], points]
-        return Neighbors.of(holder, points >= 0, swarm.coordinate_frames)
+        return Neighbors.of(holder, points >= 0, swarm.mission.coordinate_frames)
 
 
 class FormationState(NamedTuple):
@@ -150,6 +126,7 @@ def simulate_steps(
     outages: PairOutages | None = None,
 ) -> None:
     """Simulate so many control steps from the first one on; state and outages change in place."""
+    mission = swarm.mission
     for number in range(first, first + steps):
         measure_own_positions(state, swarm, rng)
         message, rest = divmod(number, swarm.steps_per_message)
@@ -158,9 +135,9 @@ def simulate_steps(
         _command(state, roles, neighbors, swarm)
         _update_velocities(state, swarm, rng)
         v = state.velocity
-        state.position[:] += v * swarm.step
-        flown = np.linalg.norm(v, axis=1, keepdims=True) * swarm.step
-        state.drift[:] += flown * swarm.coordinate_frames.drift_rate
+        state.position[:] += v * mission.step
+        flown = np.linalg.norm(v, axis=1, keepdims=True) * mission.step
+        state.drift[:] += flown * mission.coordinate_frames.drift_rate
 
 
 def _command(
@@ -170,7 +147,7 @@ def _command(
     u[:] = 0.0
     if active.any():
         seen = NeighborLocations(*(part[active] for part in locate_neighbors(state, neighbors)))
-        rules = swarm.formation, swarm.control_law, swarm.avoidance.legacy
+        rules = swarm.formation, swarm.mission.control_law, swarm.mission.avoidance.legacy
         u[active] = compute_velocity_commands(roles.assignment[active], seen, *rules)
     if roles.commanded_agent >= 0:
         u[roles.commanded_agent] = roles.operator_velocity
@@ -179,10 +156,11 @@ def _command(
 
 def _update_velocities(state: FormationState, swarm: StepParameters, rng: Generator) -> None:
     # Limits of speed, then avoidance, then limits of acceleration.
-    rules, keep_out, heading = swarm.avoidance, swarm.keep_out, swarm.coordinate_frames.rotation
-    u, most = state.velocity_command.copy(), swarm.max_acceleration * swarm.step
-    u[:, :2] = _limit(u[:, :2], swarm.max_speed)
-    u[:, 2] = np.clip(u[:, 2], -swarm.max_climb, swarm.max_climb)
+    mission, heading = swarm.mission, swarm.mission.coordinate_frames.rotation
+    rules, keep_out = mission.avoidance, mission.keep_out
+    u, most = state.velocity_command.copy(), mission.max_acceleration * mission.step
+    u[:, :2] = _limit(u[:, :2], mission.max_speed)
+    u[:, 2] = np.clip(u[:, 2], -mission.max_climb, mission.max_climb)
     v = as_pairs(np.conj(heading) * as_complex(state.velocity))
     if rules.legacy:
         nearby = sense_nearby(state, swarm, rng)
@@ -193,13 +171,14 @@ def _update_velocities(state: FormationState, swarm: StepParameters, rng: Genera
         nearby = sense_nearby(state, swarm, rng)
         others = track_nearby(state, swarm, v, nearby)
         planes = np.empty((2 * len(u) + SPEED_SIDES, 3))
-        own = u, v, others, nearby.start, keep_out, rules, swarm.max_speed, most
+        own = u, v, others, nearby.start, keep_out, rules, mission.max_speed, most
         avoid_all(*own, planes, state.avoiding)
         state.avoiding[wanders] = True
-        flat = _limit(u[:, :2], swarm.max_speed)  # also where an agent has to separate from others
+        # Also where an agent has to separate from others.
+        flat = _limit(u[:, :2], mission.max_speed)
         v = v + _limit(flat - v, most)
     state.velocity[:, :2] = as_pairs(heading * as_complex(v))
-    most = swarm.max_climb_acceleration * swarm.step
+    most = mission.max_climb_acceleration * mission.step
     state.velocity[:, 2] += np.clip(u[:, 2] - state.velocity[:, 2], -most, most)
 
 
@@ -211,7 +190,7 @@ def _wander(
     Rules that are the same for all agents can stop all of them for good, each because of
     another. An agent that has been stopped for a while flies anywhere for a moment.
     """
-    max_speed, step, blocked_time = swarm.max_speed, swarm.step, state.blocked_time
+    max_speed, step, blocked_time = swarm.mission.max_speed, swarm.mission.step, state.blocked_time
     wanders = blocked_time < 0
     commanded, flown = (np.hypot(w[:, 0], w[:, 1]) for w in (u, state.velocity))
     is_slow = BLOCKED_SPEED_SHARE * max_speed > flown
@@ -219,13 +198,13 @@ def _wander(
     u[wanders, :2] = max_speed * as_pairs(state.wander_direction[wanders])
     waited = np.where(stopped, blocked_time + step, 0.0)
     blocked_time[:] = np.where(wanders, np.minimum(0.0, blocked_time + step), waited)
-    begins = np.flatnonzero(~wanders & (blocked_time > swarm.avoidance.blocked_time))
+    begins = np.flatnonzero(~wanders & (blocked_time > swarm.mission.avoidance.blocked_time))
     if len(begins):
         away = -np.nansum(as_complex(state.tracks[begins]), axis=1)  # from those that it tracks
         angle = np.angle(away) + np.pi / 2 * (rng.random(len(begins)) - 0.5)
         state.wander_direction[begins] = np.exp(1j * angle)
         state.wander_count[begins] = np.minimum(state.wander_count[begins] + 1, MAX_WANDERS)
-        blocked_time[begins] = -swarm.avoidance.wander_time * state.wander_count[begins]
+        blocked_time[begins] = -swarm.mission.avoidance.wander_time * state.wander_count[begins]
     return wanders
 
 

@@ -173,11 +173,7 @@ class FormationLeg(Definition):
 
     @cached_property
     def gain_matrix(self) -> GainMatrix:
-        """Gains of the formation, once drawn.
-
-        Raises:
-            InputError: The formation has none, or these belong to another.
-        """
+        """Gains of the formation, once drawn; refuse those of another."""
         return self.gains.build(self.desired)
 
     def draw(

@@ -128,10 +128,9 @@ class Formation(Mission):
     def without_files(self) -> "Formation":
         """Return the same mission with the contents of files and fonts."""
         start = self.start
-        if isinstance(start, Points) and start.uses_files:
-            start = replace(start, keep_order=True)
         if isinstance(start, Shape) and start.uses_files:
-            start = Points(place_level(start, self.agents, 0.0), keep_order=True)
+            shape = replace(start, keep_order=True) if isinstance(start, Points) else start
+            start = Points(place_level(shape, self.agents, 0.0), keep_order=True)
         with errors_in("leg"):
             legs = map_numbered(lambda leg: leg.without_files(self.agents), self.legs)
         return replace(self, start=start, legs=legs)

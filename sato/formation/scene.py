@@ -32,6 +32,7 @@ def make_scene(data: RunData, mission: Formation) -> SwarmScene:
     frames, alive = record.frames, record.frames.alive
     targets = _align_points(record)
     nearest = nearest_distances(frames.position[..., :2], alive)
+    least = least_over_agents(nearest)
     avoiding = np.where(alive, frames.avoiding, np.nan)
     names = [gains.formation.name.rpartition("/")[2] for gains in mission.gains]
     starts = [(e["time"], e["leg"]) for _, e in record.events.of_kind("leg_start")]
@@ -50,15 +51,7 @@ def make_scene(data: RunData, mission: Formation) -> SwarmScene:
             color_by_speed(frames.velocity, alive),
             color_by_component(frames.component),
         ),
-        series=(
-            Series(
-                "least separation in the plane",
-                "m",
-                least_over_agents(nearest),
-                mission.keep_out,
-                "keep-out",
-            ),
-        ),
+        series=(Series("least separation in the plane", "m", least, mission.keep_out, "keep-out"),),
         stages=tuple(
             (float(t), ", ".join(filter(None, (f"leg {k + 1}", names[k])))) for t, k in starts
         ),

@@ -59,18 +59,12 @@ class NeighborLocations(NamedTuple):
 
 
 def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple[float, float]:
-    """Compute the gains of the steady Kalman filter of a motion at random accelerations.
+    """Compute the gains α, β of the steady Kalman filter of a motion at random accelerations.
 
     The filter of [Kalata1984]: a position is predicted, and corrected by α of what the measurement
-    differs, the velocity by β of that over a step.
-
-    Args:
-        noise: Standard deviation of a measured coordinate [m].
-        acceleration: Standard deviation of an acceleration, held for a step [m/s²].
-        step: Time between two measurements [s].
-
-    Returns:
-        α and β, which is at most 1, as for differences of positions without noise.
+    differs, the velocity by β of that over a step [s]. Noise is the standard deviation of a
+    measured coordinate [m], and acceleration that of one held for a step [m/s²]. β is at most 1,
+    as for differences of positions without noise.
     """
     if noise == 0:
         return 1.0, 1.0
@@ -81,13 +75,14 @@ def compute_track_gains(noise: float, acceleration: float, step: float) -> tuple
 
 def measure_own_positions(state: "FormationState", swarm: "StepParameters", rng: Generator) -> None:
     """Measure each agent's position in its own frame, with odometry drift and noise."""
-    frames, measured = swarm.coordinate_frames, state.measured_position
+    frames, noise = swarm.mission.coordinate_frames, swarm.mission.frames.noise
+    measured = state.measured_position
     offset = state.position - frames.origin
     measured[:, :2] = as_pairs(as_complex(offset) * np.conj(frames.rotation))
     measured[:, 2] = offset[:, 2]
     measured += state.drift
-    if swarm.noise > 0:
-        measured += swarm.noise * rng.standard_normal(measured.shape)
+    if noise > 0:
+        measured += noise * rng.standard_normal(measured.shape)
 
 
 def exchange_positions(
@@ -99,12 +94,12 @@ def exchange_positions(
     outages: "PairOutages | None" = None,
 ) -> None:
     """Send each agent's position to the agents that hold the neighboring points."""
-    ring = len(state.sent)
+    link, ring = swarm.mission.timed_link, len(state.sent)
     state.sent[message % ring] = state.measured_position
-    arriving = state.sent[(message - swarm.message_delay) % ring]
+    arriving = state.sent[(message - link.late) % ring]
     is_heard = neighbors.is_there
-    if swarm.message_loss > 0:
-        is_heard = is_heard & (rng.random(is_heard.shape) >= swarm.message_loss)
+    if link.loss_probability > 0:
+        is_heard = is_heard & (rng.random(is_heard.shape) >= link.loss_probability)
     if outages is not None:
         is_heard = is_heard & ~outages.advance().ravel()[neighbors.pair]
     pair, j = neighbors.pair[is_heard], neighbors.holder[is_heard]
@@ -137,14 +132,14 @@ class Nearby(NamedTuple):
 
 def sense_nearby(state: "FormationState", swarm: "StepParameters", rng: Generator) -> Nearby:
     """Measure those within range of each agent, in its own frame; odometry does not matter here."""
-    flat = as_complex(state.position)
+    mission, flat = swarm.mission, as_complex(state.position)
     apart = flat - flat[:, None]
-    is_near = apart.real**2 + apart.imag**2 < swarm.avoidance.avoidance_range**2
+    is_near = apart.real**2 + apart.imag**2 < mission.avoidance.avoidance_range**2
     np.fill_diagonal(is_near, False)
     i, j = np.nonzero(is_near)
-    measured = as_pairs(np.conj(swarm.coordinate_frames.rotation)[i] * apart[i, j])
-    if swarm.noise > 0:
-        measured = measured + swarm.noise * rng.standard_normal(measured.shape)
+    measured = as_pairs(np.conj(mission.coordinate_frames.rotation)[i] * apart[i, j])
+    if mission.frames.noise > 0:
+        measured = measured + mission.frames.noise * rng.standard_normal(measured.shape)
     start = np.zeros(len(flat) + 1, dtype=np.int64)
     np.cumsum(is_near.sum(axis=1), out=start[1:])
     return Nearby(i, j, start, measured)
@@ -156,13 +151,9 @@ def track_nearby(
     velocity: Float[Array, "agents 2"],
     nearby: Nearby,
 ) -> Float[Array, "pairs 4"]:
-    """Track those within range, by what each agent measures; the tracks are changed in place.
-
-    Returns:
-        Relative positions and velocities of those within range [m, m/s].
-    """
+    """Return relative positions and velocities of those within range, tracked in place [m, m/s]."""
     i, j, _, measured = nearby
-    (on_position, on_velocity), h = swarm.track_gains, swarm.step
+    (on_position, on_velocity), h = swarm.track_gains, swarm.mission.step
     track = np.asarray(state.tracks[i, j])
     position, speed = track[:, :2], track[:, 2:]
     is_new = np.isnan(position[:, 0])

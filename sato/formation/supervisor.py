@@ -44,12 +44,9 @@ class Supervisor:
     """Observer of a swarm that takes up one formation."""
 
     def __init__(self, settings: SupervisorSettings, period: float, legacy: bool = False) -> None:
-        """Begin in the phase of waiting.
+        """Begin in the phase of waiting, with an observation every period [s].
 
-        Args:
-            settings: When a formation is converged, and a swarm gridlocked.
-            period: Time between two observations [s].
-            legacy: True where one blocked agent makes a gridlock; else all that have to move.
+        Legacy, one blocked agent makes a gridlock; else all that have to move.
         """
         self._legacy = legacy
         self.phase, self.time_in_phase = Phase.WAITING, 0.0  # [s]
@@ -63,11 +60,9 @@ class Supervisor:
             self._enter(Phase.FLYING)
 
     def observe(self, speed: Float[Array, " agents"], blocked: Bool[Array, " agents"]) -> Phase:
-        """Add an observation, and return the phase that it leads to.
+        """Add an observation of speeds that the control law commands, before limits [m/s].
 
-        Args:
-            speed: Speed that the control law commands each agent, before limits [m/s].
-            blocked: True for agents that others block, see `find_blocked`.
+        Return the phase that it leads to; agents that others block are those of `find_blocked`.
         """
         settings, phase = self._settings, self.phase
         self._speeds.append(speed)

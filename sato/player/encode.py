@@ -26,7 +26,6 @@ class ArrayWriter:
     """Arrays as they are written, and what the header says of each."""
 
     def __init__(self) -> None:
-        """Begin without arrays."""
         self.parts: list[bytes] = []
         self.size = 0  # [byte]
 

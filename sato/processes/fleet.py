@@ -87,11 +87,6 @@ class Fleet(AbstractContextManager["Fleet"]):
             if i in self.processes:
                 self.processes[i].kill()
 
-    def drain(self) -> None:
-        """Take in what vehicles say of themselves, when nothing else is expected of them."""
-        while self.receive(timeout=0.0) is not None:
-            pass
-
     def take_new(self) -> list[int]:
         """Return the vehicles that ask for a mission, each once."""
         found, self.new = sorted(set(self.new)), []
@@ -114,8 +109,7 @@ class Fleet(AbstractContextManager["Fleet"]):
     def receive(self, timeout: float = LOOK_INTERVAL) -> tuple[int, Any] | None:
         """Return the next value of a vehicle, and its number; None if there is none in a time [s].
 
-        Raises:
-            VehicleError: A vehicle cannot go on.
+        A `VehicleError` says that one cannot go on.
         """
         return self._received.popleft() if self._received else self._receive(timeout)
 

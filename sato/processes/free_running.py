@@ -15,7 +15,7 @@ from sato.processes.free_vehicle import HEARTBEAT
 from sato.processes.messages import Consent, FreePacket, Held, Intention, Measured, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
-from sato.reconfiguration.disturbances import measure
+from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.network_decision import stop_at_once
 from sato.reconfiguration.state import ReconfigurationFrame
 
@@ -67,7 +67,7 @@ class FreeRunning:
             self._ask(measured)
             reports, self._reports = self._reports, {}
             control = world.take_reports(reports, set(reports) - self._on_time)
-            applied = world.disturb(control)
+            applied = disturb_control(world.mission, control, world.rng)
             yield world.make_frame(control, applied, measured)
             world.fly(control, applied)
             due += self.step

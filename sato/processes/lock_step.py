@@ -10,7 +10,7 @@ from sato.processes.fleet import Fleet
 from sato.processes.messages import Call, Measured, Reply, Status
 from sato.processes.presence import Presence
 from sato.processes.world import World
-from sato.reconfiguration.disturbances import measure
+from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.state import ReconfigurationFrame
 
 ROUNDING = 1e-6  # of a control step, by which a round may come too soon
@@ -36,7 +36,8 @@ class LockStep:
         for number in range(len(world.mission.legs)):
             world.begin_leg(number)
             while True:
-                self.fleet.drain()
+                while self.fleet.receive(timeout=0.0) is not None:
+                    pass  # takes in what vehicles say of themselves
                 world.take_up()
                 self.presence.update()
                 if world.end_leg():
@@ -47,7 +48,7 @@ class LockStep:
                 world.status |= last
                 intended = ((i, own.intended) for i, own in last.items())
                 world.intended |= {i: later for i, later in intended if later is not None}
-                applied = world.disturb(control)
+                applied = disturb_control(world.mission, control, world.rng)
                 yield world.make_frame(control, applied, measured)
                 world.fly(control, applied)
         yield world.make_frame()
@@ -68,10 +69,9 @@ class LockStep:
         self._relay, live = self._begin_relay(), self.world.live
         reports: dict[int, Status] = {}
         while reports.keys() != set(live):
-            replies = self._call(told, self._relay.round == 0)
+            reports = self._call(told, self._relay.round == 0)
             if self.world.live != live:
                 return None
-            reports = {i: r.status for i, r in replies.items() if r.status is not None}
         return reports
 
     def _go_on(self, told: Mapping[int, Measured]) -> tuple[dict[int, Status], dict[int, Status]]:
@@ -85,8 +85,7 @@ class LockStep:
         last: dict[int, Status] = {}
         step = world.step_index - relay.instant
         while relay.round < most and int(relay.round * ratio + ROUNDING) == step:
-            replies = self._call(told, not first)
-            last = {i: r.status for i, r in replies.items() if r.status is not None}
+            last = self._call(told, not first)
             first = {i: first.get(i, own) for i, own in last.items()}
         return first, last
 
@@ -95,8 +94,8 @@ class LockStep:
         channel = Channel(world.mission.link, world.connect(), self._link_rng.spawn(1)[0])
         return _Relay(channel, world.step_index)
 
-    def _call(self, told: Mapping[int, Measured], begins: bool) -> dict[int, Reply]:
-        """Let all act in a round; return the replies of those that do not end meanwhile."""
+    def _call(self, told: Mapping[int, Measured], begins: bool) -> dict[int, Status]:
+        """Let all act in a round; return the reports of those that have decided and do not end."""
         self._serial += 1
         for i in self.world.live:
             own = told[i], tuple(self._relay.take(i)), begins
@@ -112,7 +111,7 @@ class LockStep:
             self.world.lose(gone)
             replies = {i: reply for i, reply in replies.items() if i not in gone}
         self._relay.send({i: reply.packet for i, reply in replies.items()})
-        return replies
+        return {i: reply.status for i, reply in replies.items() if reply.status is not None}
 
 
 class _Relay:

@@ -54,7 +54,6 @@ class LockStepVehicle:
     """Vehicle that acts when it is called."""
 
     def __init__(self, vehicle: Vehicle, connection: Connection) -> None:
-        """Begin."""
         self.vehicle, self.connection = vehicle, connection
         self._before: Any = vehicle.agent.memory
 

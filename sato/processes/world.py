@@ -9,13 +9,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from sato.network.graph import CommunicationGraph
 from sato.obstacles import Obstacle, Polytope
 from sato.processes.messages import Status
-from sato.reconfiguration.disturbances import disturb_control, draw_losses
+from sato.reconfiguration.disturbances import draw_losses
 from sato.reconfiguration.first_commitment import Traffic, find_first_commitments
 from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
@@ -58,8 +58,7 @@ class World:
     @property
     def live(self) -> list[int]:
         """Numbers of the vehicles that are there."""
-        found: list[int] = np.flatnonzero(self.alive).tolist()
-        return found
+        return [int(i) for i in np.flatnonzero(self.alive)]
 
     def note(self, kind: str, agents: Any, **more: object) -> None:
         """Note an event of some vehicles."""
@@ -144,7 +143,7 @@ class World:
         self.x = np.where(enters[:, None], self._states_to_join, self.x)
         alone = begin_memory(mission, mission.legs[self.leg_index], np.ones_like(self.target_count))
         self.target_count[joined] = alone.target_count[joined]
-        self.alive = self.alive | np.isin(np.arange(len(self.x)), joined)
+        self.alive = self.alive | enters
         again = [i for i in joined if i in self.restarted]
         waits = [i for i in self.waiting if mission.waits[i] or i in self.restarted]
         refused = [i for i in self.waiting if not (self.alive[i] or i in waits)]
@@ -194,11 +193,9 @@ class World:
 
     def restart(self, agent: int) -> None:
         """Let a lost vehicle whose process was started again wait for room where it started."""
-        is_lost = agent < len(self.x) and not self.alive[agent]
-        if not is_lost or agent in self.waiting or agent not in self.lost:
-            return
-        self.restarted.add(agent)
-        self.waiting.append(agent)
+        if agent in self.lost and not self.alive[agent] and agent not in self.waiting:
+            self.restarted.add(agent)
+            self.waiting.append(agent)
 
     def look_around(self, silent: Sequence[int] = ()) -> dict[int, tuple[Sensed, ...]]:
         """Return what each vehicle has seen so far and its mission does not list, as it is now.
@@ -252,7 +249,8 @@ class World:
         if any(own.decides for own in reports.values()):
             solves = sum(own.solves for own in reports.values())
             self.note("replan", (), solves=solves)
-        closed = [i for i, own in reports.items() if own.calls and not self._has_just_joined(i)]
+        joined = {i for event in self.events if event["kind"] == "join" for i in event["agents"]}
+        closed = [i for i, own in reports.items() if own.calls and i not in joined]
         if closed:
             self.note("closed", closed)
         blocked = {t for own in reports.values() for t in own.blocked} - self.left_out
@@ -265,16 +263,11 @@ class World:
             self.note("assignment", others, target=self.target_index[others].tolist())
         self.events += merge_events([event for own in reports.values() for event in own.events])
 
-    def _has_just_joined(self, agent: int) -> bool:
-        joins = [event["agents"] for event in self.events if event["kind"] == "join"]
-        return any(agent in agents for agents in joins)
-
     def fly(self, control: Float[Array, "agents d"], applied: Float[Array, "agents d"]) -> None:
         """Fly one step under the controls that act."""
         mission, around = self.mission, self.surroundings
-        flown = mission.flown_plant.propagate(
-            self.x, np.nan_to_num(applied), self.time, mission.step
-        )
+        acting = np.nan_to_num(applied)
+        flown = mission.flown_plant.propagate(self.x, acting, self.time, mission.step)
         moves = self.alive.copy()
         if around is not None:
             moves[around.vehicle[around.is_lost]] = True
@@ -286,10 +279,6 @@ class World:
         if arrived:
             self.note("arrival", arrived)
 
-    def disturb(self, control: Float[Array, "agents d"]) -> Float[Array, "agents d"]:
-        """Return the controls that act for those that are commanded."""
-        return disturb_control(self.mission, control, self.rng)
-
     def make_frame(
         self,
         control: Float[Array, "agents d"] | None = None,
@@ -300,9 +289,7 @@ class World:
         d, events = self.mission.axes, tuple(self.events)
         self.events = []
         none = np.full((len(self.x), d), np.nan)
-        is_noisy = self.mission.position_noise or self.mission.velocity_noise
-        seen = measured if is_noisy else None
-        counts: Int[Array, " agents"] = self.target_count.copy()
+        seen = measured if self.mission.position_noise or self.mission.velocity_noise else None
         return ReconfigurationFrame(
             time=self.time,
             position=self.x[:, :d],
@@ -313,7 +300,7 @@ class World:
             applied_control=none if applied is None else applied,
             leg_index=self.leg_index,
             target_index=self.target_index,
-            target_count=counts,
+            target_count=self.target_count.copy(),
             measured_position=None if seen is None else seen[:, :d],
             measured_velocity=None if seen is None else seen[:, d:],
             rounds=None,

@@ -11,6 +11,8 @@ from dynamics.errors import format_value as format_value
 from dynamics.errors import join_names as join_names
 
 PLAIN_WORDS = {
+    ", unable to parse string as an integer": "",
+    ", unable to parse string as a number": "",
     "a valid integer": "an integer",
     "a valid ": "a ",
     "greater than or equal to": "at least",

@@ -110,11 +110,8 @@ def check_commands(record: ConnectivityRecord) -> Iterator[Promise]:
         mission.camera_noise, record.noise_std, link.loses_messages, link.late,
         mission.occlusion, mission.losses,
     )  # fmt: skip
-    if (
-        mission.potential.of == "spectrum"
-        and not any(disturbances)
-        and np.isfinite(record.chattering)
-    ):
+    is_smooth = mission.potential.of == "spectrum" and not any(disturbances)
+    if is_smooth and np.isfinite(record.chattering):
         text = "of the followers' commands jump and return in two steps"
         yield expect_below("chattering", record.chattering, MAX_CHATTERING, 0.0, text)
 
@@ -152,11 +149,8 @@ def check_views(record: ConnectivityRecord) -> Iterator[Promise]:
 def check_graph(record: ConnectivityRecord) -> Iterator[Promise]:
     """Check λ₂, λ₃ and components against recorded weights, and that λ₂ stays above λ₂^min."""
     frames, limit = record.frames, record.mission.potential.lambda2_min
-    weight, alive, lambda2 = (
-        np.nan_to_num(frames.edge_weight, posinf=0),
-        frames.alive,
-        frames.lambda2,
-    )
+    alive, lambda2 = frames.alive, frames.lambda2
+    weight = np.nan_to_num(frames.edge_weight, posinf=0)
     # Of the live agents alone, and not by the function that the flight used.
     found = np.full((len(alive), 2), np.inf)  # infinite where there is no such eigenvalue
     swarms, number = np.unique(alive, axis=0, return_inverse=True)

@@ -52,10 +52,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
 
     @cached_property
     def command_change(self) -> float:
-        """Change of a follower's command in a step that 99.9 % do not exceed, after 2 s [m/s].
-
-        NaN in shorter flights.
-        """
+        """Change of a follower's command that 99.9 % of those after 2 s do not exceed, or NaN."""
         frames, first = self.frames, round(SETTLING_TIME / self.mission.step)
         change = np.diff(frames.velocity_command[first:, 1:], axis=0)
         size = np.linalg.norm(change, axis=2)[frames.alive[first + 1 :, 1:]]
@@ -71,10 +68,7 @@ class ConnectivityRecord(RunRecord[Connectivity, Any, None]):
 
     @property
     def followed(self) -> float:
-        """Path of the followers' centroid over the leader's, both while the stick is held.
-
-        NaN where it never is.
-        """
+        """Path of the followers' centroid over the leader's while the stick is held, or NaN."""
         is_held = self.frames.stick[:-1].any(axis=1)
         leader, followers = (float(path[is_held].sum()) for path in self.paths)
         return followers / leader if leader > 0 else np.nan

@@ -71,11 +71,7 @@ class FormationRecord(RunRecord[Formation, FormationFrame, FormationVariables]):
         return common.find_closest_approach(self.frames.position[..., :2], self.frames.alive)
 
     def load_gains(self, leg: int) -> GainMatrix:
-        """Return the recorded gains, for the scenario's own formation.
-
-        Raises:
-            ValueError: They are not stable gains of it.
-        """
+        """Return the recorded gains; refuse those that are not stable for the scenario's leg."""
         if tuple(self.variables.part) != GAIN_PARTS:
             raise ValueError(f"gains have the parts {', '.join(GAIN_PARTS)}, in this order")
         real, imaginary, z = self.variables.gains[leg]
