@@ -33,6 +33,7 @@ AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", r
 ROW_DIMENSION = re.compile(
     rf"({_BODY}|row|index|id|number|vertex|corner|obstacle)s?|vertices|dim_\d+", re.IGNORECASE
 )
+ROW_IN_TIME = re.compile(f"{ROW_DIMENSION.pattern}|time|instant", re.IGNORECASE)  # of a stick
 OTHER_AXES = re.compile(
     r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
 )
@@ -104,7 +105,7 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
     if type(value) in PLAIN:
         return value
     if hasattr(value, "isel"):
-        value = _sort_labels(value)
+        value = _sort_labels(value, ROW_IN_TIME if unit == "m_s" else ROW_DIMENSION)
     if (table := _split_table(value)) is not None:
         is_moving = unit == "m_s" and any("v" in str(name) for name in table[0])
         names = [f"v{axis}" if is_moving else axis for axis in AXES]
@@ -190,7 +191,7 @@ def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:
     return ([index.name, *names], [index, *columns]) if is_named else (names, columns)
 
 
-def _sort_labels(value: Any) -> Any:
+def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
     """Sort an array of xarray by its numbered labels, and put its axes last."""
     numbered = [dim for dim in value.dims if dim in value.coords and not _is_text(value[dim])]
     if repeated := [dim for dim in numbered if len(np.unique(value[dim])) < value.sizes[dim]]:
@@ -203,7 +204,7 @@ def _sort_labels(value: Any) -> Any:
     axes = axes or [dim for dim in value.dims if _is_text(value[dim]) and not is_dataset]
     is_plain = all(str(dim).startswith("dim_") for dim in value.dims)
     rows = [str(dim) for dim in value.dims if dim not in axes]
-    is_known = len(axes) + is_dataset == 1 and all(map(ROW_DIMENSION.fullmatch, rows))
+    is_known = len(axes) + is_dataset == 1 and all(map(rows_known.fullmatch, rows))
     if not (is_known or is_plain):
         dims = join_names(map(str, value.dims), "and")
         cure = '"agent" or "row"' if is_dataset else '"agent" or "row", and "axis",'
