@@ -55,11 +55,7 @@ class AgentPacket(NamedTuple):
 
 
 def check_agent(mission: Reconfiguration, number: int) -> None:
-    """Refuse a mission that an agent cannot fly, and a number that it has no entry for.
-
-    Raises:
-        ValueError: They are.
-    """
+    """Refuse a mission that an agent cannot fly, and a number that it has no entry for."""
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
@@ -124,22 +120,14 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
 
 
 def check_inside(mission: Reconfiguration, number: int, state: Float[Array, " n"]) -> None:
-    """Refuse a first state that is outside of the allowed positions, by more than the margin.
-
-    Raises:
-        InputError: It is.
-    """
+    """Refuse a first state that is outside of the allowed positions, by more than the margin."""
     if not are_inside(mission, state[None, : mission.axes], -mission.margin).all():
         reason = f"agent {number} begins outside of the allowed positions, model.box_m"
         raise InputError("state", f"{reason}; a place inside would do")
 
 
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
-    """Return a state as an array.
-
-    Raises:
-        ValueError: It is not as many finite numbers as the model has states.
-    """
+    """Return a state as an array of as many finite numbers as the model has states."""
     n = 2 * mission.axes
     with suppress(InputError):
         array = as_array(to_plain(state, "m", STATES), 1)
@@ -176,9 +164,6 @@ def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
     """Return what an agent heard, which is nothing but messages of other agents.
 
     They come in packets where messages are lost or late.
-
-    Raises:
-        ValueError: It has something else.
     """
     kind = AgentMessage if is_ideal else AgentPacket
     for message in inbox:

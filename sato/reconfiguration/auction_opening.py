@@ -66,11 +66,7 @@ def is_forecast(mission: Reconfiguration, leg: Leg) -> bool:
 
 
 def forecast_opening(auction: VsdaaAuction) -> Opening:
-    """Assign targets by the costs as all know them, and price these.
-
-    Raises:
-        OutOfTargets: A component has more agents than there are targets.
-    """
+    """Assign targets by the costs as all know them, and price these."""
     graph, found = auction.graph, assign_centrally(auction)
     price, target_index = np.zeros_like(auction.cost), found.target_index
     for c in range(graph.component.max(initial=-1) + 1):

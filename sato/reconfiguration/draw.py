@@ -32,11 +32,7 @@ UNKNOWN_STEPS = 50  # over which controls must reach every state, where a leg ha
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
-    """Return the mission with all chance drawn and every automatic value resolved.
-
-    Raises:
-        InputError: The starts, targets, margins or times cannot be as they are asked for.
-    """
+    """Return the mission with all chance drawn and every automatic value resolved."""
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(mission, n))
     demand, asked = feasibility.target_demand(mission), mission.legs
     if own_motion.is_own_model(mission.model):
@@ -169,11 +165,8 @@ def is_drawn(mission: Reconfiguration) -> bool:
 def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> Leg:
     """Draw the targets of a leg that is no part of a drawn mission, and has no losses and joins.
 
-    It begins at a control instant, and has as many targets as the demand, or more.
-
-    Raises:
-        InputError: There are too few targets, they are too close for the margin, or the number
-            of steps is to be found.
+    It begins at a control instant, and has as many targets as the demand, or more. Too few targets,
+    targets too close for the margin, and automatic steps are refused.
     """
     if is_auto(leg.steps):
         raise InputError("leg.steps", "must be a number for a leg that is set on the way")

@@ -283,11 +283,7 @@ def _count_holding(
 
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:
-    """Refuse a mission whose first commitments are not clear of each other.
-
-    Raises:
-        InputError: Neither the plans nor the free motion of two agents are.
-    """
+    """Refuse a mission whose first commitments are not clear of each other."""
     i, j, radius = list_pairs(offers, graph)
     met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
     if len(met) and offers.drifts is not None:
@@ -304,11 +300,7 @@ def check_start(offers: Offers, choice: Int[Array, " agents"], graph: Communicat
 
 
 def refuse_start(agent: int, other: int, radius: float) -> NoReturn:
-    """Refuse starts from which two agents can neither drift nor fly to their targets.
-
-    Raises:
-        InputError: Always.
-    """
+    """Refuse starts from which two agents can neither drift nor fly to their targets."""
     raise InputError(
         "swarm.start",
         f"agents {agent} and {other} can neither drift nor fly to their targets {radius:.4g} m "

@@ -173,14 +173,10 @@ class PlannedLimits(Vehicles):
     ) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
-        They fly on for so many steps h, and stop at the least control U of plans in whole steps:
+        They fly on for so many steps h, and stop at the least control U of plans in whole steps, with
+        a margin in R [m]:
 
             V n h + V²/2U + V h/2 ≤ r(V)     [m]
-
-        Args:
-            steps: Steps h for which they fly on.
-            margin: Margin in R [m].
-            control_factor: Factor of all limits of the control.
         """
         if not self.is_point_mass or self.allow_undetectable or self.printed:
             return inf
@@ -195,11 +191,7 @@ class PlannedLimits(Vehicles):
         return min(float(self.top_speeds.max()), self.speed_within_reach(steps, margin))
 
     def skew_margin(self, margin: float) -> float:
-        """Return by how much two come nearer than planned as their clocks differ, at most [m].
-
-        Args:
-            margin: Margin for all else [m].
-        """
+        """Return by how much two come nearer than planned as their clocks differ [m]."""
         skew = self.link.skew
         return skew * self.fastest_plans(self.replan_steps, margin) if skew else 0.0
 
@@ -236,10 +228,6 @@ class PlannedLimits(Vehicles):
         """Return the limit of the velocity in the plans of an agent [m/s].
 
         Where it could not stop within reach from full speed, it plans to fly more slowly.
-
-        Args:
-            agent: Number of the agent.
-            control_factor: Factor of all limits of the control.
         """
         limit = self.speed_limit(agent)
         slow = self.speed_within_reach(self.replan_steps, self.known_margin, control_factor)

@@ -54,14 +54,7 @@ class Random(Definition):
     ) -> Float[Array, "count d"]:
         """Draw positions [m] until the graph is as it is wanted.
 
-        Args:
-            mission: Space and radii.
-            count: Number of agents.
-            occupied: Positions of agents that are there already [m].
-            rng: Draws the positions.
-
-        Raises:
-            InputError: There is no room, or no such graph in many draws.
+        Agents that are there already occupy positions [m].
         """
         axes, least = mission.axes, mission.largest_separation
         if self.separation < least:

@@ -99,9 +99,7 @@ class Vehicles(Motion):
     ) -> Float[Array, " agents"]:
         """Return the distance that two of each agent's kind keep [m].
 
-        Args:
-            clearance: Distance that any two keep, whatever their radii [m].
-            agents: Numbers of the agents.
+        The clearance is what any two keep, whatever their radii [m].
         """
         if self.has_equal_radii:
             return np.full(len(agents), clearance)
