@@ -16,7 +16,6 @@ from dynamics.doors import checked
 from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
-from sato.reconfiguration.allowed_places import are_inside
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.surroundings import Sensed
@@ -117,13 +116,6 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
             "mission with link.round_s would do"
         )
     return nearest
-
-
-def check_inside(mission: Reconfiguration, number: int, state: Float[Array, " n"]) -> None:
-    """Refuse a first state that is outside of the allowed positions, by more than the margin."""
-    if not are_inside(mission, state[None, : mission.axes], -mission.margin).all():
-        reason = f"agent {number} begins outside of the allowed positions, model.box_m"
-        raise InputError("state", f"{reason}; a place inside would do")
 
 
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:

@@ -173,8 +173,8 @@ class PlannedLimits(Vehicles):
     ) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
-        They fly on for so many steps h, and stop at the least control U of plans in whole steps, with
-        a margin in R [m]:
+        They fly on for so many steps h, and stop at the least control U of plans in whole steps.
+        The margin is in R [m]:
 
             V n h + V²/2U + V h/2 ≤ r(V)     [m]
         """
