@@ -9,9 +9,7 @@ from jaxtyping import Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
-from dynamics.doors import check_methods
 from problems.limit import Limit
-from sato.network.link import Link
 from sato.reconfiguration.tracking import (
     MAX_RESERVE,
     RESERVE_SIGMAS,
@@ -27,24 +25,8 @@ if TYPE_CHECKING:
     from problems.transfer import TransferProblem
 
 
-@check_methods
 class PlannedLimits(Vehicles):
     """Properties that follow from the limits of a mission, its noise and its margin."""
-
-    comm_radius: float
-    sensing_radius: float | None
-    obstacles: tuple[Any, ...]
-    replan_steps: int
-    margin: Any
-    allow_undetectable: bool
-    printed: bool
-    link: Link
-    compute: float
-    disturbance: float
-    position_noise: float
-    velocity_noise: float
-    thrust_error: float
-    pointing_error: float
 
     @property
     def lag_steps(self) -> int:
