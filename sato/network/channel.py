@@ -70,10 +70,8 @@ class Channel:
     def extend(self, rounds: int) -> None:
         """Draw so many rounds, or more."""
         blocks, link = [self.by_round], self._link
-        loss, share = (
-            np.float32(link.loss_probability),
-            (link.late + 1) / (1 - link.loss_probability),
-        )
+        loss = np.float32(link.loss_probability)
+        share = np.float32((link.late + 1) / (1 - link.loss_probability))
         for first in range(len(self.by_round), rounds, BLOCK):
             block = np.empty((BLOCK, len(self.sender)), dtype=np.int32)
             block[:] = np.arange(first + 1, first + BLOCK + 1)[:, None]
@@ -82,7 +80,7 @@ class Channel:
                 is_lost = drawn < loss
                 if link.late:
                     drawn -= loss
-                    drawn *= np.float32(share)
+                    drawn *= share
                     block += np.minimum(drawn.astype(np.int32), link.late)
                 block[is_lost] = NEVER
             if link.outage_share:

@@ -91,11 +91,8 @@ def list_doubts(mission: Reconfiguration) -> tuple[str, ...]:
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     """Return the control instant of a call, which may be early or late by some of a step.
 
-    That is the nearest one. Where rounds take time, each instant has calls at multiples of the
-    round, and the time is that of the nearest of all of these.
-
-    Raises:
-        ValueError: The time is not one since the start of the mission, or is near no instant.
+    That is the nearest one; a time that is near none is refused. Where rounds take time, each
+    instant has calls at multiples of the round, and the time is that of the nearest of these.
     """
     step, round_time = mission.step, mission.link.round
     if not isinstance(time, float | int | np.number) or not -MAX_OFF * step <= time < inf:
@@ -131,12 +128,7 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
 
 
 def check_seen(mission: Reconfiguration, number: int, seen: Sequence[Sensed]) -> list[Sensed]:
-    """Return what an agent has seen, with states as arrays.
-
-    Raises:
-        ValueError: An obstacle has other coordinates than the mission, a state is none, or a lost
-            vehicle has the agent's own number.
-    """
+    """Return what an agent has seen, with states as arrays; refuse what it cannot have seen."""
     found: list[Sensed] = []
     for k, thing in enumerate(seen):
         if not isinstance(thing, Obstacle):
@@ -178,11 +170,8 @@ def select_messages(
     """Return the messages of an agent's own instant and stage, by the number of the sender.
 
     Its own last message tells these. In the first round of an instant, no agents were heard in the
-    round before (None).
-
-    Raises:
-        ValueError: A sender is ahead of the agent, sent twice, sent something else than the agent,
-            or was not heard in the round before.
+    round before (None). A sender that is ahead of the agent, sent twice, sent something else than
+    the agent, or was not heard in the round before, is refused.
     """
     place = now[1:3]
     found = sorted((m for m in inbox if m[1:3] == place), key=lambda message: message.sender)

@@ -114,8 +114,6 @@ def forecast_alone(
     cost = np.array(
         [apply_bidding_rules(table, memory, i, is_near, firm, least=least) for i in rows]
     )
-    opening = forecast_opening(
-        VsdaaAuction(cost[:, order], graph, np.full(count, target_count), epsilon)
-    )
+    opening = forecast_opening(VsdaaAuction(cost[:, order], graph, target_count, epsilon))
     own_row = [members.index(number)]
     return Opening(opening.price[own_row], opening.target_index[own_row])

@@ -55,7 +55,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         joined = [states_of(join.start) for join in leg.joins]
         states = np.concatenate([states, *joined])
         if is_auto(asked[k].steps):
-            begin = departures[k] = _depart(mission, k, known, states, demand, mission.step * steps)
+            begin = departures[k] = depart(mission, k, known, states, demand, mission.step * steps)
             enough = _choose_steps(begin, k, leg, demand[k], factors[k])
             leg = replace(leg, steps=enough)
         steps += leg.steps
@@ -116,28 +116,6 @@ def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:
     # The last event comes before the deadline.
     events = [loss.at_step for loss in leg.losses] + [join.at_step for join in leg.joins]
     return max(*events, mission.freeze_steps - 1, 0) + 1
-
-
-def _depart(
-    mission: Reconfiguration,
-    number: int,
-    known: Float[Array, "k n"],
-    states: Float[Array, "agents n"],
-    demand: tuple[int, ...],
-    begin: float,
-) -> Departure:
-    """Return those that begin a leg: agents at first, then any that targets may have."""
-    new = sum(join.size for join in mission.legs[number].joins)
-    first = depart(mission, states)
-    if number > 0:
-        spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
-        first = Departure(mission, np.arange(len(known)), known, spare, 0, begin)
-    agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
-    state = np.concatenate([first.state, states[len(states) - new :]])
-    # Some are lost before others join.
-    excess = max(0, len(agents) - demand[number])
-    spare, lost = max(first.spare, excess), max(first.lost, excess)
-    return first._replace(agents=agents, state=state, spare=spare, lost=lost)
 
 
 def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, factor: float) -> int:

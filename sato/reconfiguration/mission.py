@@ -50,14 +50,9 @@ class Reconfiguration(PlannedLimits):
         if self.agents is None and isinstance(self.start, Points):
             with errors_in("swarm.start"):
                 values["agents"] = len(self.start.listed)
-        values |= {
-            name: plain if given is None else given
-            for name, given, plain in (
-                ("bidder_ids", self.bidder_ids, not self.printed),
-                ("tie_break", self.tie_break, 0.0 if self.printed else 0.2),
-                ("reset", self.reset, "change" if self.printed else "need"),
-            )
-        }
+        tie_break, reset = (0.0, "change") if self.printed else (0.2, "need")
+        plain = {"bidder_ids": not self.printed, "tie_break": tie_break, "reset": reset}
+        values |= {name: value for name, value in plain.items() if getattr(self, name) is None}
         if self.replan_steps is None and self.printed:
             values["replan_steps"] = self.horizon_steps
         elif self.replan_steps is None:
@@ -223,11 +218,7 @@ class Reconfiguration(PlannedLimits):
         return self.assignment == "given" and not self.has_equal_radii
 
     def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
-        """Find the two targets with the least room: their distance, and R of their vehicles [m].
-
-        Args:
-            targets: Positions [m] and velocities [m/s].
-        """
+        """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
         place, R = self.scale_separations(targets[:, : self.axes]), self.largest_separation
         count = min(len(place), self.vehicle_count)
         if not self.keeps_targets_by_pair or count < 2:

@@ -132,10 +132,8 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
     that it can. Where no number is enough, `where` is the key of the steps that is refused.
     """
-    search, longest = (
-        _Search(departure, targets_after, AUTOMATIC_TIME),
-        _longest(departure, targets_after(1)),
-    )
+    search = _Search(departure, targets_after, AUTOMATIC_TIME)
+    longest = _longest(departure, targets_after(1))
     is_enough = partial(search.is_enough, trusts_bounds=True)
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:

@@ -215,10 +215,7 @@ def find_stop(
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
     All have come to rest at the end of the horizon. The half-spaces are chosen about the nominal;
-    others that it meets are passed on the given side.
-
-    Returns:
-        Controls, states and control points; None where none is found.
+    others that it meets are passed on the given side. It has controls, states and control points.
     """
     others, clearance, obstacles, rest_steps = avoided
     T = max(horizon.steps - 1 - rest_steps, 1)
