@@ -47,7 +47,7 @@ class Channel:
     """Rounds in which the messages of neighbors arrive.
 
     Edges are listed by sender, then receiver. A message that is sent in round s is heard before
-    the receiver acts in round `arrival[edge, s]`, s + 1 at the soonest; NEVER where it is lost.
+    the receiver acts in round `by_round[s, edge]`, s + 1 at the soonest; NEVER where it is lost.
     Losses and delays are of each message and receiver; outages of a link, in both directions.
     """
 
@@ -61,11 +61,6 @@ class Channel:
         place[i, j] = place[j, i] = np.arange(len(i))
         self._pair = place[self.sender, self.receiver]
         self._outages = Outages(link, len(i), rng)
-
-    @property
-    def arrival(self) -> Int[Array, "edges rounds"]:
-        """Round in which each message is heard, as far as they are drawn."""
-        return self.by_round.T
 
     def extend(self, rounds: int) -> None:
         """Draw so many rounds, or more."""

@@ -73,11 +73,7 @@ from sato.reconfiguration.census import (
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.offers import Offers, is_kept, make_offers
-from sato.reconfiguration.orbital_commitment import (
-    keep_previous,
-    make_orbital_offers,
-    refuse_start,
-)
+from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers, refuse_start
 from sato.reconfiguration.plan import (
     Plan,
     Plans,

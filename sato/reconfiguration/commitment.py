@@ -334,9 +334,8 @@ def follow(context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T 
     """
     if is_kept(context, plan):
         return plan
-    if is_kept_away(context, plan, u) or steps < min(
-        steps_to_next(context), len(plan.trajectory.u)
-    ):
+    least = min(steps_to_next(context), len(plan.trajectory.u))
+    if steps < least or is_kept_away(context, plan, u):
         return leave(context, plan)
     return plan._replace(clear_until=plan.planned_at + steps)
 

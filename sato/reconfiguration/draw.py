@@ -1,6 +1,7 @@
 """Drawing of a mission: starts and targets as states."""
 
 from dataclasses import replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -73,10 +74,8 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     link_feasibility.check_starts(drawn)
 
     def targets_after(number: int, steps: int) -> Float[Array, "k n"]:
-        begin = sum(leg.steps for leg in drawn.legs[:number])
-        arrival, wanted = (begin + steps) * drawn.step, count_wanted(drawn, number)
-        leg, lowest = replace(asked[number], steps=steps), demand[number]
-        return draw_targets(mission, number, leg, lowest, arrival)[:wanted]
+        begin = sum(leg.steps for leg in drawn.legs[:number]) * drawn.step
+        return _targets_after(mission, number, asked[number], demand[number], begin, steps)
 
     reach.check_reach(drawn, None if drawn.chief is None else targets_after)
     first_commitment.check_reach(drawn)
@@ -120,16 +119,19 @@ def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:
 
 def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, factor: float) -> int:
     mission = departure.mission
-    wanted = count_wanted(mission, number)
-
-    def targets_after(steps: int) -> Float[Array, "k n"]:
-        arrival = departure.time + steps * mission.step
-        return draw_targets(mission, number, leg, demand, arrival)[:wanted]
-
+    targets_after = partial(_targets_after, mission, number, leg, demand, departure.time)
     fixed = targets_after(1)  # but drift-free velocities depend on the time
     after = targets_after if mission.chief is not None else lambda _: fixed
     least = reach.find_least_steps(f"leg.{number}.steps", departure, after)
     return max(ceil(factor * least - 1e-9), _fewest_steps(mission, leg))
+
+
+def _targets_after(
+    mission: Reconfiguration, number: int, leg: Leg, demand: int, begin: float, steps: int
+) -> Float[Array, "k n"]:
+    """Return the targets of a leg that begins at a time [s], as they are after some steps."""
+    states = draw_targets(mission, number, leg, demand, begin + steps * mission.step)
+    return states[: count_wanted(mission, number)]
 
 
 def is_drawn(mission: Reconfiguration) -> bool:

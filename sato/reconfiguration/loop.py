@@ -39,11 +39,7 @@ from sato.reconfiguration.plan import (
     is_planning_due,
     remaining_cost,
 )
-from sato.reconfiguration.stopping import (
-    Commitment,
-    Commitments,
-    controls_at,
-)
+from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
 from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
 

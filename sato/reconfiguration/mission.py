@@ -218,7 +218,11 @@ class Reconfiguration(PlannedLimits):
         return self.assignment == "given" and not self.has_equal_radii
 
     def find_tightest(self, targets: Float[Array, "targets n"]) -> tuple[float, float]:
-        """Find the two targets with the least room: their distance, and R of their vehicles [m]."""
+        """Find the two targets with the least room: their distance, and R of their vehicles [m].
+
+        Args:
+            targets: Positions [m] and velocities [m/s].
+        """
         place, R = self.scale_separations(targets[:, : self.axes]), self.largest_separation
         count = min(len(place), self.vehicle_count)
         if not self.keeps_targets_by_pair or count < 2:

@@ -104,7 +104,11 @@ class PlantSettings(Definition):
             raise InputError(missing[0], f"is missing; {names} are given together, or none of them")
 
     def atmosphere(self, chief: Chief) -> Atmosphere:
-        """Return the air that is given, or that at the perigee of a chief about the Earth."""
+        """Return the air that is given, or that at the chief's perigee.
+
+        Raises:
+            InputError: There is no air at the chief's perigee, or the chief is not about the Earth.
+        """
         if find_body(chief.center.mu) is not EARTH:
             reason = f"the air is the Earth's, and the chief goes about {chief.center.name}"
             raise InputError("plant.drag", f"{reason}; drag = false would do")

@@ -105,7 +105,11 @@ class Chief(Definition):
         return cls(**values, mu=mu, body_radius=radius)
 
     def completed(self) -> dict[str, Any]:
-        """Return the oblateness of the body, and no constants that follow from its gravity."""
+        """Return the oblateness of the body, and no constants that follow from its gravity.
+
+        Raises:
+            InputError: No known body has this gravity, or constants contradict each other.
+        """
         body, (_, mu, radius, _) = find_body(self.mu or EARTH_MU), self.center
         j2 = body.J2 if self.j2 is None and self.k_j2 is None else self.j2
         if self.j2 is None and self.k_j2 is None and body is UNKNOWN:
@@ -183,7 +187,11 @@ class Chief(Definition):
             ) from error
 
     def suggest_start(self, times: Sequence[float]) -> str:
-        """Say from where along its orbit vehicles could stay out of plane at these times [s]."""
+        """Say from where along its orbit vehicles could stay out of its plane at these times.
+
+        Args:
+            times: Times [s].
+        """
         flat = "positions in the plane (z = 0)"
         if self.semi_major_axis is None or not len(times):
             return f"another start along the orbit would do, or {flat}"

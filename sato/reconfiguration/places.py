@@ -41,8 +41,8 @@ def draw_targets(
             _check_separation(mission, placed[: len(radii)], placed[:0], kept * radii, "target", 0)
     limits = [mission.speed_limit(i) for i in range(len(placed))]
     if mission.assignment != "given":  # any vehicle may have to arrive there
-        limits = [min(mission.speed_limits, key=lambda one: float(one.most * one.shares.min()))]
-        limits *= len(placed)
+        least = min(mission.speed_limits, key=lambda limit: float(limit.most * limit.shares.min()))
+        limits = [least] * len(placed)
     return _with_velocities(mission, placed, drawn.velocities, arrival, where, limits, "target")
 
 

@@ -54,7 +54,14 @@ class Random(Definition):
     ) -> Float[Array, "count d"]:
         """Draw positions [m] until the graph is as it is wanted.
 
-        Agents that are there already occupy positions [m].
+        Args:
+            mission: Space and radii.
+            count: Number of agents.
+            occupied: Positions of agents that are there already [m].
+            rng: Draws the positions.
+
+        Raises:
+            InputError: There is no room, or no such graph in many draws.
         """
         axes, least = mission.axes, mission.largest_separation
         if self.separation < least:
