@@ -180,11 +180,10 @@ def test_errors_survive_the_way_from_a_worker_process(error):
 def test_refusal_asks_for_no_long_program_that_speed_limits_make_slow(norm, monkeypatch):
     solved = []
 
-    def can_transfer(departure, target, steps, factor):
-        solved.append(steps)
-        return False
+    def find_none(transfer, start, target):
+        solved.append(len(transfer.model))
 
-    monkeypatch.setattr("sato.reconfiguration.pair_reach.can_transfer", can_transfer)
+    monkeypatch.setattr("sato.reconfiguration.pair_reach.solve_transfer", find_none)
     orbit = sato.Orbit.from_elements(6878e3, inclination=0.8)
     start = np.array([[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
     goal = start + np.array([0.0, 600e3, 0.0])
