@@ -176,7 +176,7 @@ class NetworkFlight:
                 if is_new and not step:
                     events[0] += [(i, event["kind"]) for event in agent.events]
             for edge in np.flatnonzero(np.isin(channel.sender, list(sent))):
-                at, j = channel.arrival[edge, now], int(channel.receiver[edge])
+                at, j = channel.by_round[now, edge], int(channel.receiver[edge])
                 if at < last:
                     inboxes[at][j].append(sent[int(channel.sender[edge])])
             has_begun = now >= self.enters.max()

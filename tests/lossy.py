@@ -26,7 +26,7 @@ def relay(channel, rounds, entered, stops, begin, act):
             own, inbox = agents.get(i), inboxes[now][i]
             agents[i], packet = begin(i) if own is None else act(own, inbox)
             for edge in np.flatnonzero(channel.sender == i):
-                if (at := channel.arrival[edge, now]) <= rounds:
+                if (at := channel.by_round[now, edge]) <= rounds:
                     inboxes[at][int(channel.receiver[edge])].append(packet)
         yield dict(agents)
 

@@ -428,7 +428,7 @@ def test_agent_bids_on_no_more_targets_than_its_leg_has():
 
 def test_agent_that_begins_outside_of_its_box_is_refused():
     _, agents = four(box=[[-20.0, -3.0], [20.0, 9.0]])
-    with pytest.raises(sato.InputError, match=r"state: agent 0 begins outside of .* model\.box_m"):
+    with pytest.raises(sato.InputError, match=r"state: agent 0 starts outside of .* model\.box_m"):
         agents[0].step(0.0, [0.0, -3.1, 0.0, 0.0], [])
 
 

@@ -1,12 +1,15 @@
 """Agents that start in motion: how they stop, and starts that are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from agents import fly_by_messages
+from agents import decide, fly_by_messages
 from commitment_examples import stop_at_once
 from reconfiguration_runs import make_mission
 
 import sato
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.loop import simulate
 
 
@@ -59,3 +62,28 @@ def test_first_states_from_which_agents_do_not_stop_in_reach_are_refused():
             agent.step(0.0, state, [])
     with pytest.raises(ValueError, match="commitment: must be a Commitment, got an array"):
         sato.Agent(mission, 0, commitment=np.zeros((3, 2)))
+
+
+@pytest.mark.parametrize("is_moving", [False, True])
+def test_agent_that_starts_in_a_known_obstacle_is_refused_as_by_run(is_moving):
+    mission, time = head_on(), 4.0 if is_moving else 0.0
+    away = {"center": (0.0, 4.0), "velocity": (0.0, -1.0)} if is_moving else {"center": (0.0, 0.0)}
+    mission = replace(mission, obstacles=(sato.Sphere(radius=0.6, **away),))
+    fault = "agent 0 starts 0.4 m from obstacle 0, a sphere, and has to keep "
+    with pytest.raises(sato.InputError, match=f"state: {fault}"):
+        sato.Agent(mission, 0, leg_start=0.0).step(time, [1.0, 0.0, 0.0, 0.0], [])
+    if not is_moving:
+        start = np.array([[1.0, 0.0], [3.0, 0.0]])
+        with pytest.raises(sato.InputError, match=f"start: {fault}"):
+            replace(mission, start=sato.Points(start)).draw(np.random.default_rng(0))
+
+
+def test_agents_that_start_within_each_others_radius_are_refused_as_by_run():
+    mission, fault = head_on(), r"agent [01] starts 0.1 m from agent [01], closer than the"
+    start = np.array([[0.0, 0.0, 0.0, 0.0], [0.1, 0.0, 0.0, 0.0]])
+    with pytest.raises(sato.InputError, match=f"state: {fault}"):
+        agents = {i: sato.Agent(mission, i) for i in range(2)}
+        graph = CommunicationGraph(~np.eye(2, dtype=bool), np.ones(2, dtype=bool))
+        list(decide(agents, 0.0, start, graph))
+    with pytest.raises(sato.InputError, match=f"swarm.start: {fault}"):
+        replace(mission, start=sato.Points(start[:, :2])).draw(np.random.default_rng(0))

@@ -140,6 +140,8 @@ def test_recorded_sticks_and_graphs_are_read_by_their_names(tmp_path):
     stick = RecordedStick(file=str(file)).without_file()
     assert stick.times.tolist() == [0.5, 1.5]
     assert stick.velocities.tolist() == [[2, 3, 1], [5, 6, 4]]
+    recorded = xr.DataArray(stick.velocities.T, dims=("axis", "time"))
+    assert RecordedStick(times=stick.times, velocities=recorded) == stick
     for header in ("vertex,weight", "i,i", "x,y", "i,j,k"):
         file.write_text(f"{header}\n0,1\n1,2\n2,0\n")
         with pytest.raises(ValueError, match="a header such as vertex,neighbor would do"):

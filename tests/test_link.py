@@ -69,9 +69,9 @@ def test_rounds_that_were_looked_at_come_as_they_were_seen(looks):
 def draw(link, rounds, agents=12):
     channel = Channel(link, line(agents), np.random.default_rng(4))
     channel.extend(rounds)
-    count = channel.arrival.shape[1]
-    is_lost = channel.arrival == NEVER
-    return channel, is_lost, channel.arrival - np.arange(1, count + 1)
+    count = channel.by_round.T.shape[1]
+    is_lost = channel.by_round.T == NEVER
+    return channel, is_lost, channel.by_round.T - np.arange(1, count + 1)
 
 
 def test_losses_and_delays_are_of_each_message_and_independent():

@@ -173,7 +173,7 @@ def test_agents_are_heard_within_the_silent_rounds(faults):
     channel = Channel(link, complete(60), np.random.default_rng(3))
     channel.extend(300)
     for now in range(0, 300 - link.silent_rounds):
-        heard = channel.arrival[:, now : now + link.silent_rounds].min(axis=1)
+        heard = channel.by_round.T[:, now : now + link.silent_rounds].min(axis=1)
         assert (heard <= now + link.silent_rounds).all()
 
 
@@ -185,5 +185,5 @@ def test_silent_rounds_are_those_that_losses_and_failures_take_together():
     link = Link(**loss, **both)
     channel = Channel(link, complete(150), np.random.default_rng(0))
     channel.extend(8)
-    assert (channel.arrival == NEVER).mean() == pytest.approx(1 - 0.5 * 0.8, abs=0.01)
+    assert (channel.by_round.T == NEVER).mean() == pytest.approx(1 - 0.5 * 0.8, abs=0.01)
     assert link.silent_rounds > 13 + 6

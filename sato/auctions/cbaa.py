@@ -195,13 +195,9 @@ def init_state(
 def run_rounds(s, rounds, loss, rng, is_down):
     """Run at most so many rounds more, until all agents know the end.
 
-    Args:
-        s: Memory of all agents, a `CbaaState`, changed in place.
-        rounds: Largest number of rounds.
-        loss: Probability that a message is lost.
-        rng: Generator of the losses, drawn from only where messages can be lost: once for each
-            agent that does not know the end and each agent of the swarm, in order.
-        is_down: True for pairs between which messages are lost in a round; without rounds, none.
+    The memory s of all agents, a `CbaaState`, is changed in place. Losses are drawn only where
+    messages can be lost: once for each agent that does not know the end and each agent of the
+    swarm, in order. Pairs may be down in a round; without rounds, none is.
     """
     agents = len(s.is_running)
     bidders = np.count_nonzero(s.is_running) + np.count_nonzero(s.finished_round)

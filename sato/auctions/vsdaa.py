@@ -326,9 +326,6 @@ def run_kernel(
     """Run all rounds in which something happens, pausing after every `stride` of them.
 
     All bids are appended to `dropped`, a log after another.
-
-    Raises:
-        OutOfTargets: An agent found all targets taken.
     """
     targets = state.cost.shape[1]
     log = BidLog.empty(MIN_ROOM + 2 * targets)

@@ -47,7 +47,7 @@ class Channel:
     """Rounds in which the messages of neighbors arrive.
 
     Edges are listed by sender, then receiver. A message that is sent in round s is heard before
-    the receiver acts in round `arrival[edge, s]`, s + 1 at the soonest; NEVER where it is lost.
+    the receiver acts in round `by_round[s, edge]`, s + 1 at the soonest; NEVER where it is lost.
     Losses and delays are of each message and receiver; outages of a link, in both directions.
     """
 
@@ -62,18 +62,11 @@ class Channel:
         self._pair = place[self.sender, self.receiver]
         self._outages = Outages(link, len(i), rng)
 
-    @property
-    def arrival(self) -> Int[Array, "edges rounds"]:
-        """Round in which each message is heard, as far as they are drawn."""
-        return self.by_round.T
-
     def extend(self, rounds: int) -> None:
         """Draw so many rounds, or more."""
         blocks, link = [self.by_round], self._link
-        loss, share = (
-            np.float32(link.loss_probability),
-            (link.late + 1) / (1 - link.loss_probability),
-        )
+        loss = np.float32(link.loss_probability)
+        share = np.float32((link.late + 1) / (1 - link.loss_probability))
         for first in range(len(self.by_round), rounds, BLOCK):
             block = np.empty((BLOCK, len(self.sender)), dtype=np.int32)
             block[:] = np.arange(first + 1, first + BLOCK + 1)[:, None]
@@ -82,7 +75,7 @@ class Channel:
                 is_lost = drawn < loss
                 if link.late:
                     drawn -= loss
-                    drawn *= np.float32(share)
+                    drawn *= share
                     block += np.minimum(drawn.astype(np.int32), link.late)
                 block[is_lost] = NEVER
             if link.outage_share:

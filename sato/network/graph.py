@@ -57,15 +57,9 @@ class CommunicationGraph:
         radius: Annotated[float, Gt(0), MAY_BE_INFINITE],
         alive: Bool[Array, " agents"],
     ) -> "CommunicationGraph":
-        """Connect all live agents that are at most `radius` apart.
+        """Connect all live agents that are at most a radius apart, by their positions [m].
 
-        Args:
-            position: Position of each agent [m]; one that is not finite is near to none.
-            radius: Communication radius [m].
-            alive: True where an agent is alive.
-
-        Raises:
-            ValueError: The radius is not positive.
+        One whose position is not finite is near to none.
         """
         adjacency = np.zeros((len(alive), len(alive)), dtype=bool)
         live = np.flatnonzero(alive & np.isfinite(position).all(axis=1))

@@ -40,31 +40,19 @@ class Link(Definition):
     round: Annotated[Time, NotNegative, "time that a round of messages takes"] = 0.0
 
     def over(self, round: float) -> "Link":
-        """Return the link where a round takes so long [s].
-
-        Raises:
-            InputError: Outages leave no time between two of them.
-        """
+        """Return the link where a round takes so long [s]."""
         with errors_in("link"):
             return replace(self, round=round)
 
     def require_none(self, **reasons: str) -> None:
-        """Refuse what has no meaning in a system, by the names of fields.
-
-        Raises:
-            InputError: It is given; says why it has none.
-        """
+        """Refuse what has no meaning in a system, by the names of fields."""
         for field in fields_of(Link):
             if field.name in reasons and getattr(self, field.name) != field.default:
                 reason = f"{reasons[field.name]}; leave it out"
                 raise InputError(f"link.{field.key}", reason)
 
     def check(self) -> None:
-        """Refuse outages without a length, or without time between two of them.
-
-        Raises:
-            InputError: There are; says what would do.
-        """
+        """Refuse outages without a length, or without time between two of them."""
         if (self.outage > 0) != (self.outage_share > 0):
             lacks, has = (
                 ("outage_share", "outage_s") if self.outage else ("outage_s", "outage_share")

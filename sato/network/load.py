@@ -78,12 +78,8 @@ def count_flood(
 ) -> Counts:
     """Count the messages in which agents pass on reports of all, and the bytes of the reports.
 
-    Args:
-        graph: Communication graph.
-        rounds: Rounds of the stage.
-        made: Round after which each agent makes its report; −1 for none.
-        size: Size of each report [byte].
-        speaks: True for the rounds after which an agent has something else to say.
+    An agent makes its report, of some bytes, after a round; −1 for none. It may speak after some
+    rounds of the stage, for it has something else to say.
     """
     if speaks is None:
         speaks = np.zeros((len(made), int(rounds.max(initial=0))), dtype=bool)

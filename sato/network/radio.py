@@ -62,10 +62,6 @@ class Radio(Definition):
         """Count the bits that an auction takes from one neighbor.
 
         A message holds the numbers of the auction and of the round, and the price and the winner
-        of each point.
-
-        Args:
-            vehicles: Number of vehicles, and of points.
-            rounds: Rounds of the auction; vehicles × diameter where none can know the end.
+        of each point. Rounds are vehicles × diameter where none can know the end.
         """
         return 2 * WORD_BITS * (vehicles + 1) * rounds

@@ -95,8 +95,7 @@ def describe(problem: OnboardProblem) -> str:
 def generate_solver(problem: FixedSizeAvoidanceProblem, folder: Path) -> list[str]:
     """Write the solver into a folder that does not exist yet.
 
-    Returns:
-        Numbers of variables, inequalities, equations, linear inequalities and cones.
+    It has numbers of variables, inequalities, equations, linear inequalities and cones.
     """
     from cvxpygen import cpg
 

@@ -28,11 +28,7 @@ class OnboardProblem(NamedTuple):
 
 
 def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> OnboardProblem:
-    """Build the transfer problem of one agent of a scenario, with arguments as of `export_c`.
-
-    Raises:
-        ValueError: There is no such scenario, or its model changes with time or state.
-    """
+    """Build the transfer problem of one agent of a scenario, with arguments as of `export_c`."""
     file = read(scenario)
     # Only the model and the limits matter here, so any random start will do.
     mission = file.draw(np.random.default_rng(0))

@@ -129,7 +129,7 @@ class _Relay:
         """Send the packets of this round, and go on to the next."""
         channel = self._channel
         channel.extend(self.round + 1)
-        arrival = channel.arrival[:, self.round]
+        arrival = channel.by_round[self.round]
         for sender, receiver, at in zip(channel.sender, channel.receiver, arrival, strict=True):
             packet = packets.get(int(sender))
             if packet is not None and at != NEVER:

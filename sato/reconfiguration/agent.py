@@ -24,7 +24,6 @@ from sato.reconfiguration.agent_inputs import (
     as_state,
     check_agent,
     check_inbox,
-    check_inside,
     check_seen,
     checksum,
     list_doubts,
@@ -32,6 +31,7 @@ from sato.reconfiguration.agent_inputs import (
 )
 from sato.reconfiguration.agent_memory import FlightMemory
 from sato.reconfiguration.agent_network import NetworkDecision
+from sato.reconfiguration.allowed_places import check_starts
 from sato.reconfiguration.draw import draw_leg, is_drawn, with_targets
 from sato.reconfiguration.first_commitment import check_stops
 from sato.reconfiguration.leg import Leg
@@ -43,7 +43,7 @@ from sato.reconfiguration.state import DecisionContext, Event, begin_memory, upd
 from sato.reconfiguration.stopping import Commitment, controls_at
 from sato.reconfiguration.surroundings import Sensed, sense_surroundings
 from sato.reconfiguration.tracking import add_feedback
-from sato.scenario.definition import Amount
+from sato.scenario.definition import Amount, errors_in
 from sato.scenario.errors import InputError, format_value
 
 
@@ -281,7 +281,9 @@ class Agent:
             flown = self._end_network_decision(instant) if mission.lag_steps else self.memory
         else:
             alone = np.array([self.number])
-            check_inside(mission, self.number, state)
+            with errors_in("state"):
+                place, time = state[None, : mission.axes], instant * mission.step
+                check_starts(mission, place, alone.tolist(), mission.margin, time)
             check_stops(mission, alone, state[None], "state", flown.committed, instant)
         measured = np.tile(state, (self.number + 1, 1))
         estimate = estimator.update(mission, flown.estimate, measured)

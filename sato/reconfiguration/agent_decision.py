@@ -73,11 +73,7 @@ from sato.reconfiguration.census import (
 from sato.reconfiguration.clock import announce_clock
 from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.offers import Offers, is_kept, make_offers
-from sato.reconfiguration.orbital_commitment import (
-    keep_previous,
-    make_orbital_offers,
-    refuse_start,
-)
+from sato.reconfiguration.orbital_commitment import keep_previous, make_orbital_offers, refuse_start
 from sato.reconfiguration.plan import (
     Plan,
     Plans,
@@ -87,6 +83,7 @@ from sato.reconfiguration.plan import (
     remaining_cost,
 )
 from sato.reconfiguration.state import DecisionContext, Event
+from sato.scenario.errors import InputError
 from sato.scp.halfway import come_after
 from sato.scp.planner import Planner
 
@@ -232,7 +229,20 @@ class Decision(NamedTuple):
         is_confirmed = self.context.mission.lag_steps > 0
         return self._enter(Choosing(offers, priority, self.diameter, choice, is_confirmed))
 
+    def _check_start(self, choosing: Choosing) -> None:
+        """Refuse a start that is nearer to a neighbor than two keep, by more than the margin."""
+        mission, i, place = self.context.mission, self.number, choosing.message.path[0, 0]
+        for other in choosing.neighbors:
+            apart = float(np.linalg.norm(place - other.path[0, 0]))
+            kept = (mission.radius(i) + mission.radius(other.agent)) / 2
+            if apart < kept * (1 - 1e-9) - mission.margin:
+                found = f"agent {i} starts {apart:.8g} m from agent {other.agent}"
+                reason = f"{found}, closer than the collision radius of {kept:.8g} m"
+                raise InputError("state", f"{reason}; agents farther apart would do")
+
     def _report_choice(self, choosing: Choosing) -> "Decision":
+        if self.context.instant == 0:
+            self._check_start(choosing)
         is_cautious = choosing.choice == choosing.offers.last and not is_kept(
             self.context, self.plans[self.number]
         )

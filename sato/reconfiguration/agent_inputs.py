@@ -16,7 +16,6 @@ from dynamics.doors import checked
 from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
-from sato.reconfiguration.allowed_places import are_inside
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.surroundings import Sensed
@@ -55,11 +54,7 @@ class AgentPacket(NamedTuple):
 
 
 def check_agent(mission: Reconfiguration, number: int) -> None:
-    """Refuse a mission that an agent cannot fly, and a number that it has no entry for.
-
-    Raises:
-        ValueError: They are.
-    """
+    """Refuse a mission that an agent cannot fly, and a number that it has no entry for."""
     limits = mission.max_control, mission.max_speed, mission.collision_radius, mission.priority
     lengths = [len(each) for each in limits if isinstance(each, tuple)]
     most = min([MAX_NUMBER, *(length - 1 for length in lengths)])
@@ -96,11 +91,8 @@ def list_doubts(mission: Reconfiguration) -> tuple[str, ...]:
 def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     """Return the control instant of a call, which may be early or late by some of a step.
 
-    That is the nearest one. Where rounds take time, each instant has calls at multiples of the
-    round, and the time is that of the nearest of all of these.
-
-    Raises:
-        ValueError: The time is not one since the start of the mission, or is near no instant.
+    That is the nearest one; a time that is near none is refused. Where rounds take time, each
+    instant has calls at multiples of the round, and the time is that of the nearest of these.
     """
     step, round_time = mission.step, mission.link.round
     if not isinstance(time, float | int | np.number) or not -MAX_OFF * step <= time < inf:
@@ -123,23 +115,8 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     return nearest
 
 
-def check_inside(mission: Reconfiguration, number: int, state: Float[Array, " n"]) -> None:
-    """Refuse a first state that is outside of the allowed positions, by more than the margin.
-
-    Raises:
-        InputError: It is.
-    """
-    if not are_inside(mission, state[None, : mission.axes], -mission.margin).all():
-        reason = f"agent {number} begins outside of the allowed positions, model.box_m"
-        raise InputError("state", f"{reason}; a place inside would do")
-
-
 def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
-    """Return a state as an array.
-
-    Raises:
-        ValueError: It is not as many finite numbers as the model has states.
-    """
+    """Return a state as an array of as many finite numbers as the model has states."""
     n = 2 * mission.axes
     with suppress(InputError):
         array = as_array(to_plain(state, "m", STATES), 1)
@@ -151,12 +128,7 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
 
 
 def check_seen(mission: Reconfiguration, number: int, seen: Sequence[Sensed]) -> list[Sensed]:
-    """Return what an agent has seen, with states as arrays.
-
-    Raises:
-        ValueError: An obstacle has other coordinates than the mission, a state is none, or a lost
-            vehicle has the agent's own number.
-    """
+    """Return what an agent has seen, with states as arrays; refuse what it cannot have seen."""
     found: list[Sensed] = []
     for k, thing in enumerate(seen):
         if not isinstance(thing, Obstacle):
@@ -176,9 +148,6 @@ def check_inbox(number: int, inbox: Any, is_ideal: bool = True) -> Any:
     """Return what an agent heard, which is nothing but messages of other agents.
 
     They come in packets where messages are lost or late.
-
-    Raises:
-        ValueError: It has something else.
     """
     kind = AgentMessage if is_ideal else AgentPacket
     for message in inbox:
@@ -201,11 +170,8 @@ def select_messages(
     """Return the messages of an agent's own instant and stage, by the number of the sender.
 
     Its own last message tells these. In the first round of an instant, no agents were heard in the
-    round before (None).
-
-    Raises:
-        ValueError: A sender is ahead of the agent, sent twice, sent something else than the agent,
-            or was not heard in the round before.
+    round before (None). A sender that is ahead of the agent, sent twice, sent something else than
+    the agent, or was not heard in the round before, is refused.
     """
     place = now[1:3]
     found = sorted((m for m in inbox if m[1:3] == place), key=lambda message: message.sender)

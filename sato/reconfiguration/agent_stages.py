@@ -21,13 +21,7 @@ from sato.reconfiguration.orbital_commitment import give_up_unclear
 from sato.reconfiguration.orbital_evasion import Detours, offer_detour
 from sato.reconfiguration.plan import Plan
 from sato.reconfiguration.state import DecisionContext
-from sato.scp.planner import (
-    Planner,
-    Priority,
-    TrajectoryMessage,
-    pair_clearances,
-    update_planner,
-)
+from sato.scp.planner import Planner, Priority, TrajectoryMessage, pair_clearances, update_planner
 
 
 class AuctionTerms(NamedTuple):

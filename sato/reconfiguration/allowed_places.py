@@ -24,24 +24,21 @@ MAX_LEFT_OUT = 20  # times that a shape is drawn with more targets, for those th
 
 
 def check_starts(
-    mission: "Reconfiguration", placed: Float[Array, "k d"], agents: Sequence[int]
+    mission: "Reconfiguration",
+    placed: Float[Array, "k d"],
+    agents: Sequence[int],
+    slack: float = 0.0,
+    time: float = 0.0,
 ) -> None:
-    """Refuse starts [m] in obstacles or out of bounds.
-
-    Raises:
-        InputError: One is; says where.
-    """
-    needed = mission.radii[list(agents)] * (1 - 1e-9)
-    if reason := find_fault(mission, placed, needed, [f"agent {i} starts" for i in agents]):
+    """Refuse starts [m] in obstacles at a time [s], or out of bounds, by more than a slack [m]."""
+    needed = np.array([mission.radius(i) * (1 - 1e-9) - slack for i in agents])
+    names = [f"agent {i} starts" for i in agents]
+    if reason := find_fault(mission, placed, needed, names, -slack, time):
         raise InputError("", f"{reason}; another start, or a smaller obstacle, would do")
 
 
 def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
-    """Refuse starts and targets of a drawn mission that the margin puts too near to an obstacle.
-
-    Raises:
-        InputError: One is; says where, and what would do.
-    """
+    """Refuse starts and targets of a drawn mission that the margin puts too near to an obstacle."""
     if mission.margin <= 0:
         return
     d, start, margin = mission.axes, mission.initial_states, mission.margin
@@ -62,10 +59,8 @@ def check_margin_to_obstacles(mission: "Reconfiguration") -> None:
 def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: float) -> Points:
     """Return the targets of a leg, of a shape without those that are blocked.
 
-    There are as many as the demand, or more, and two are as far apart as is needed [m].
-
-    Raises:
-        InputError: A target of a list is blocked, or too few of a shape are left.
+    There are as many as the demand, or more, and two are as far apart as is needed [m]. A list with
+    a blocked target, and a shape of which too few are left, are refused.
     """
     drawn = leg.place(demand, mission.axes, needed)
     asked = len(np.asarray(drawn.positions))
@@ -134,13 +129,14 @@ def find_fault(
     needed: Float[Array, " k"],
     names: list[str],
     margin: float = 0.0,
+    time: float = 0.0,
 ) -> str | None:
     """Say which place is nearer to an obstacle than is needed, or out of bounds; None if none."""
     outside = np.flatnonzero(~are_inside(mission, placed, margin))
     if len(outside):
         return f"{names[outside[0]]} outside of the allowed positions, model.box_m"
     for number, obstacle in enumerate(mission.obstacles):
-        away = measure_distances(mission, obstacle, placed)
+        away = measure_distances(mission, obstacle, placed - time * obstacle.drift)
         near = np.flatnonzero(away < needed)
         if len(near):
             i = int(near[0])

@@ -66,11 +66,7 @@ def is_forecast(mission: Reconfiguration, leg: Leg) -> bool:
 
 
 def forecast_opening(auction: VsdaaAuction) -> Opening:
-    """Assign targets by the costs as all know them, and price these.
-
-    Raises:
-        OutOfTargets: A component has more agents than there are targets.
-    """
+    """Assign targets by the costs as all know them, and price these."""
     graph, found = auction.graph, assign_centrally(auction)
     price, target_index = np.zeros_like(auction.cost), found.target_index
     for c in range(graph.component.max(initial=-1) + 1):
@@ -118,8 +114,6 @@ def forecast_alone(
     cost = np.array(
         [apply_bidding_rules(table, memory, i, is_near, firm, least=least) for i in rows]
     )
-    opening = forecast_opening(
-        VsdaaAuction(cost[:, order], graph, np.full(count, target_count), epsilon)
-    )
+    opening = forecast_opening(VsdaaAuction(cost[:, order], graph, target_count, epsilon))
     own_row = [members.index(number)]
     return Opening(opening.price[own_row], opening.target_index[own_row])

@@ -56,14 +56,12 @@ def central_problem(mission: Reconfiguration, seed: Seed = 0) -> CentralMission:
     )
     whole = make_horizon(replace(drawn, foresight_steps=leg.steps), 0.0, leg.steps)
     fine = whole.fine_model[: leg.steps * whole.pieces_per_step]
-    clearances = None
-    if not drawn.has_equal_radii:
-        clearances = drawn.own_clearances(whole.clearance, agents)
+    kept = None if drawn.has_equal_radii else drawn.own_clearances(whole.clearance, agents)
     problem = CentralizedProblem(
         each[0],
         AvoidanceHorizon(model, fine, whole.clearance),
         own_transfers=each if len(drawn.group_by_limits(agents)) > 1 else (),
-        clearances=clearances,
+        clearances=kept,
     )
     if drawn.assignment == "given":
         return CentralMission(problem, start, leg.targets[: len(start)])

@@ -122,10 +122,9 @@ def _count_choosing(
 def list_pairs(
     offers: Offers, graph: CommunicationGraph
 ) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"], Float[Array, " pairs"]]:
-    """List pairs of agents that hear each other and could meet by some choice, by their rows.
+    """List pairs of agents that hear each other and could meet by some choice.
 
-    Returns:
-        Rows of both, and the distance that they keep [m].
+    That is the rows of both, and the distance that they keep [m].
     """
     i, j = graph.pairs_among(offers.agents)
     radius = (offers.clearance[i] + offers.clearance[j]) / 2
@@ -291,8 +290,7 @@ def _list_evasions(
 ) -> tuple[dict[int, Float[Array, "_ m"]], Int[Array, " all"]]:
     """List new controls in the components in which something came over what an agent chose.
 
-    Returns:
-        Controls of those that evade, and the bytes of all reports.
+    With the bytes of all reports.
     """
     sizes = np.zeros(len(context.state), dtype=np.int64)
     mission, component = context.mission, context.graph.component[offers.agents]
@@ -336,9 +334,8 @@ def follow(context: DecisionContext, plan: Plan, steps: int, u: Float[Array, "T 
     """
     if is_kept(context, plan):
         return plan
-    if is_kept_away(context, plan, u) or steps < min(
-        steps_to_next(context), len(plan.trajectory.u)
-    ):
+    least = min(steps_to_next(context), len(plan.trajectory.u))
+    if steps < least or is_kept_away(context, plan, u):
         return leave(context, plan)
     return plan._replace(clear_until=plan.planned_at + steps)
 
@@ -370,11 +367,9 @@ def improve(
     """Change a committed trajectory towards the agent's plan, or to a stop later on it.
 
     From a neighbor that it is too near to, as noise may have it, the change keeps what it had. The
-    path is that of the committed trajectory, over a horizon in which all have come to rest.
-
-    Returns:
-        Controls, control points, and the steps for which these follow the plan; None where none
-        are found that are safe.
+    path is that of the committed trajectory, over a horizon in which all have come to rest. The
+    change is given by its controls, control points, and the steps for which these follow the plan;
+    it is None where none is found that is safe.
     """
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))

@@ -34,14 +34,30 @@ class Departure(NamedTuple):
         return self._replace(agents=self.agents[rows], state=self.state[rows])
 
 
-def depart(mission: Reconfiguration, state: Float[Array, "k n"]) -> Departure:
-    """Return the agents that begin the first leg; some, not yet known, may be lost before it."""
-    alive, spare = np.ones(mission.agent_count, dtype=bool), 0
-    for loss in (loss for loss in mission.legs[0].losses if loss.at_step == 0):
-        alive[[i for i in loss.agents if i < len(alive)]] = False
-        spare += floor((loss.share or 0.0) * (alive.sum() - spare))
-    live = np.flatnonzero(alive)
-    return Departure(mission, live, state[live], spare, spare)
+def depart(
+    mission: Reconfiguration,
+    number: int,
+    known: Float[Array, "k n"],
+    states: Float[Array, "agents n"],
+    demand: tuple[int, ...],
+    time: float,
+) -> Departure:
+    """Return those that begin a leg: agents at first, then any that targets may have.
+
+    Some, not yet known, may be lost before it, or before others join.
+    """
+    new = sum(join.size for join in mission.legs[number].joins)
+    begun, spare, lost = np.arange(len(known)), 0, 0
+    if number > 0:
+        spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
+    for loss in mission.legs[0].losses if number == 0 else ():
+        if loss.at_step == 0:
+            begun = np.setdiff1d(begun, np.array(loss.agents, dtype=int))
+            spare = lost = lost + floor((loss.share or 0.0) * (len(begun) - lost))
+    agents = np.append(begun, np.arange(len(states) - new, len(states)))
+    state = np.concatenate([known[begun], states[len(states) - new :]])
+    excess = max(0, len(agents) - demand[number])
+    return Departure(mission, agents, state, max(spare, excess), max(lost, excess), time)
 
 
 def count_wanted(mission: Reconfiguration, number: int) -> int | None:

@@ -51,11 +51,8 @@ def apply_thruster_errors(
 ) -> Float[Array, "*k d"]:
     """Return thrusts with errors of size and direction [m/s²].
 
-    Args:
-        mission: Standard deviations of the errors.
-        control: Commanded acceleration [m/s²].
-        draws: Standard normal; the first of a row is of the size, the components of the
-            others that are perpendicular to the thrust are of its direction.
+    Draws are standard normal: the first of a row is of the size, the components of the others that
+    are perpendicular to the thrust are of its direction.
     """
     size: Any = np.linalg.norm(control, axis=-1, keepdims=True)
     direction = control / np.where(size > 0, size, 1.0)

@@ -1,6 +1,7 @@
 """Drawing of a mission: starts and targets as states."""
 
 from dataclasses import replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -32,11 +33,7 @@ UNKNOWN_STEPS = 50  # over which controls must reach every state, where a leg ha
 
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
-    """Return the mission with all chance drawn and every automatic value resolved.
-
-    Raises:
-        InputError: The starts, targets, margins or times cannot be as they are asked for.
-    """
+    """Return the mission with all chance drawn and every automatic value resolved."""
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(mission, n))
     demand, asked = feasibility.target_demand(mission), mission.legs
     if own_motion.is_own_model(mission.model):
@@ -59,7 +56,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         joined = [states_of(join.start) for join in leg.joins]
         states = np.concatenate([states, *joined])
         if is_auto(asked[k].steps):
-            begin = departures[k] = _depart(mission, k, known, states, demand, mission.step * steps)
+            begin = departures[k] = depart(mission, k, known, states, demand, mission.step * steps)
             enough = _choose_steps(begin, k, leg, demand[k], factors[k])
             leg = replace(leg, steps=enough)
         steps += leg.steps
@@ -77,10 +74,8 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     link_feasibility.check_starts(drawn)
 
     def targets_after(number: int, steps: int) -> Float[Array, "k n"]:
-        begin = sum(leg.steps for leg in drawn.legs[:number])
-        arrival, wanted = (begin + steps) * drawn.step, count_wanted(drawn, number)
-        leg, lowest = replace(asked[number], steps=steps), demand[number]
-        return draw_targets(mission, number, leg, lowest, arrival)[:wanted]
+        begin = sum(leg.steps for leg in drawn.legs[:number]) * drawn.step
+        return _targets_after(mission, number, asked[number], demand[number], begin, steps)
 
     reach.check_reach(drawn, None if drawn.chief is None else targets_after)
     first_commitment.check_reach(drawn)
@@ -122,40 +117,21 @@ def _fewest_steps(mission: Reconfiguration, leg: Leg) -> int:
     return max(*events, mission.freeze_steps - 1, 0) + 1
 
 
-def _depart(
-    mission: Reconfiguration,
-    number: int,
-    known: Float[Array, "k n"],
-    states: Float[Array, "agents n"],
-    demand: tuple[int, ...],
-    begin: float,
-) -> Departure:
-    """Return those that begin a leg: agents at first, then any that targets may have."""
-    new = sum(join.size for join in mission.legs[number].joins)
-    first = depart(mission, states)
-    if number > 0:
-        spare = max(0, len(known) - demand[number - 1], len(known) + new - demand[number])
-        first = Departure(mission, np.arange(len(known)), known, spare, 0, begin)
-    agents = np.append(first.agents, np.arange(len(states) - new, len(states)))
-    state = np.concatenate([first.state, states[len(states) - new :]])
-    # Some are lost before others join.
-    excess = max(0, len(agents) - demand[number])
-    spare, lost = max(first.spare, excess), max(first.lost, excess)
-    return first._replace(agents=agents, state=state, spare=spare, lost=lost)
-
-
 def _choose_steps(departure: Departure, number: int, leg: Leg, demand: int, factor: float) -> int:
     mission = departure.mission
-    wanted = count_wanted(mission, number)
-
-    def targets_after(steps: int) -> Float[Array, "k n"]:
-        arrival = departure.time + steps * mission.step
-        return draw_targets(mission, number, leg, demand, arrival)[:wanted]
-
+    targets_after = partial(_targets_after, mission, number, leg, demand, departure.time)
     fixed = targets_after(1)  # but drift-free velocities depend on the time
     after = targets_after if mission.chief is not None else lambda _: fixed
     least = reach.find_least_steps(f"leg.{number}.steps", departure, after)
     return max(ceil(factor * least - 1e-9), _fewest_steps(mission, leg))
+
+
+def _targets_after(
+    mission: Reconfiguration, number: int, leg: Leg, demand: int, begin: float, steps: int
+) -> Float[Array, "k n"]:
+    """Return the targets of a leg that begins at a time [s], as they are after some steps."""
+    states = draw_targets(mission, number, leg, demand, begin + steps * mission.step)
+    return states[: count_wanted(mission, number)]
 
 
 def is_drawn(mission: Reconfiguration) -> bool:
@@ -169,11 +145,8 @@ def is_drawn(mission: Reconfiguration) -> bool:
 def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> Leg:
     """Draw the targets of a leg that is no part of a drawn mission, and has no losses and joins.
 
-    It begins at a control instant, and has as many targets as the demand, or more.
-
-    Raises:
-        InputError: There are too few targets, they are too close for the margin, or the number
-            of steps is to be found.
+    It begins at a control instant, and has as many targets as the demand, or more. Too few targets,
+    targets too close for the margin, and automatic steps are refused.
     """
     if is_auto(leg.steps):
         raise InputError("leg.steps", "must be a number for a leg that is set on the way")

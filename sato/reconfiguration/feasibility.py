@@ -20,11 +20,7 @@ PAIR_TABLES = 30  # numbers that a flight keeps for each pair of agent and targe
 
 
 def check(mission: "Reconfiguration") -> None:
-    """Refuse fields that contradict each other, and legs without targets enough.
-
-    Raises:
-        InputError: They do; says what would do.
-    """
+    """Refuse fields that contradict each other, and legs without targets enough."""
     _check_periods(mission)
     link_feasibility.check(mission)
     _check_printed(mission)
@@ -138,11 +134,7 @@ def _check_noise(mission: "Reconfiguration") -> None:
 
 
 def _check_surroundings(mission: "Reconfiguration") -> None:
-    """Refuse obstacles and bounds of other axes than the model's, and what is not supported.
-
-    Raises:
-        InputError: They are; says which.
-    """
+    """Refuse obstacles and bounds of other axes than the model's, and what is not supported."""
     d, box = mission.axes, mission.box
     if box is not None:
         if box.shape != (2, d):
@@ -282,9 +274,6 @@ def check_programs(mission: "Reconfiguration") -> None:
     """Refuse a drawn mission whose legs are too long for the programs of its transfers.
 
     Their matrices have a row for each state of each step, and a column for each control.
-
-    Raises:
-        InputError: A leg is; says how many steps would do.
     """
     d, limit = mission.axes, machine_memory()
     for number, leg in enumerate(mission.legs):

@@ -179,11 +179,7 @@ class Traffic(NamedTuple):
 
 
 def check_room(mission: Reconfiguration) -> None:
-    """Refuse a drawn mission in which a vehicle that would not wait has no room at the start.
-
-    Raises:
-        InputError: It has none; says what would do.
-    """
+    """Refuse a drawn mission in which a vehicle that would not wait has no room at the start."""
     due = [i for agents, at_step in mission.joining(0) if at_step == 0 for i in agents]
     if mission.waits[due].all():
         return
@@ -218,11 +214,7 @@ def _fly_on(
 
 
 def check_reach(mission: Reconfiguration) -> None:
-    """Refuse a drawn mission without reach, or in which a vehicle starts too fast to stop within.
-
-    Raises:
-        InputError: It could meet another that it does not hear; says what would do.
-    """
+    """Refuse a drawn mission without reach, or a start too fast to stop within reach."""
     state, reach = mission.initial_states, mission.reach_unheard(mission.margin)
     kept = mission.largest_separation * mission.widest_axis
     if mission.is_point_mass and mission.has_unseen and mission.sight - kept <= 0:
@@ -282,9 +274,6 @@ def check_stops(
     """Refuse states from which vehicles that decide no more do not stop within reach.
 
     Those without a commitment stop at once. `where` is the key of the states, for the error.
-
-    Raises:
-        InputError: One does not; says what would do.
     """
     d, reach = mission.axes, mission.reach_unheard(mission.margin)
     if not mission.is_point_mass or not state[:, d:].any():

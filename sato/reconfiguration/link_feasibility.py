@@ -30,11 +30,7 @@ LIKELY_ROUNDS = 12, 10, 2, 50
 
 
 def check(mission: "Reconfiguration") -> None:
-    """Refuse links that a mission cannot have, and those over which nothing can be agreed.
-
-    Raises:
-        InputError: It has one; says why, and what would do.
-    """
+    """Refuse links that a mission cannot have, and those over which nothing can be agreed."""
     link = mission.link
     link.require_none(period_steps="agents send a message in every round, which takes link.round_s")
     if link.outage and not link.round:
@@ -86,11 +82,7 @@ def _check_skew(mission: "Reconfiguration") -> None:
 
 
 def check_starts(mission: "Reconfiguration") -> None:
-    """Refuse starts in motion of a drawn mission whose clocks differ.
-
-    Raises:
-        InputError: There are.
-    """
+    """Refuse starts in motion of a drawn mission whose clocks differ."""
     velocity = mission.initial_states[:, mission.axes :]
     if mission.link.skew and velocity.any():
         i = int(velocity.any(axis=1).argmax())
@@ -111,11 +103,7 @@ def _check_late(mission: "Reconfiguration") -> None:
 
 
 def _check_rounds(mission: "Reconfiguration") -> None:
-    """Refuse periods in which not even two agents agree.
-
-    Raises:
-        InputError: They have too few rounds; says what would do.
-    """
+    """Refuse periods in which not even two agents agree."""
     link, steps = mission.link, mission.replan_steps
     if is_enough(mission, link, steps):
         return

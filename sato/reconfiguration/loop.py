@@ -39,11 +39,7 @@ from sato.reconfiguration.plan import (
     is_planning_due,
     remaining_cost,
 )
-from sato.reconfiguration.stopping import (
-    Commitment,
-    Commitments,
-    controls_at,
-)
+from sato.reconfiguration.stopping import Commitment, Commitments, controls_at
 from sato.reconfiguration.surroundings import find_surroundings
 from sato.reconfiguration.tracking import add_feedback
 
@@ -343,11 +339,8 @@ class _Flight:
     def _end_decisions(self, k: int) -> bool:
         """Let agents that got through take up what they decided.
 
-        Those that join later have to be clear of that.
-
-        Returns:
-            True where all know that all have arrived, if they have: over a network that takes time,
-            they know it of each other; else from the first step on.
+        Those that join later have to be clear of that. True where all know that all have arrived,
+        if they have: over a network that takes time, they know it of each other; else at once.
         """
         mission, pending = self.mission, self.pending
         if not mission.lag_steps:

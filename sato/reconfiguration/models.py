@@ -294,11 +294,7 @@ class Motion:
 
     @cached_property
     def flown_plant(self) -> Plant:
-        """Motion of the vehicles.
-
-        Raises:
-            ValueError: Ballistic coefficients are still to be drawn.
-        """
+        """Motion of the vehicles, once ballistic coefficients are drawn."""
         if isinstance(self.plant, Plant):
             return self.plant
         if self.plant.ballistic is not None:

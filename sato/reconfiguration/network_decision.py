@@ -76,13 +76,10 @@ class DecisionsUnderWay:
     def finish(
         self, mission: Reconfiguration, stops: Int[Array, " agents"]
     ) -> tuple[list[Bool[Array, " agents"]], Bool[Array, " agents"]]:
-        """Find out who gets through.
+        """Find out who gets through; an agent falls silent in a round, NEVER if it does not.
 
-        An agent falls silent in a round, NEVER if it does not.
-
-        Returns:
-            For each outcome the agents that take up what they have chosen; and those that have
-            heard of all in their component, or were lost.
+        For each outcome, that is the agents that take up what they have chosen; and those that have
+        heard of all in their component, or were lost.
         """
         ends = np.minimum(stops, self.enters + mission.decision_rounds)
         synchronizer = Synchronizer(self.channel, ends)

@@ -210,11 +210,9 @@ class OfferedControls(NamedTuple):
 def _list_controls(
     context: DecisionContext, plans: Plans, committed: Commitments, plan_steps: tuple[int, ...]
 ) -> tuple[OfferedControls, Int[Array, "agents choices"], Bool[Array, "agents choices"]]:
-    """List the controls that are offered.
+    """List the controls that are offered, and the place in this list of each agent's choices.
 
-    Returns:
-        Controls; the place in this list of each agent's choices; and True for choices that begin
-        with the plan, which is not the case where it leads too far.
+    And tell which choices begin with the plan, which is not the case where it leads too far.
     """
     mission, agents = context.mission, np.array(list(plans))
     velocity = context.state[agents, mission.axes :]

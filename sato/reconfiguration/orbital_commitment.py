@@ -283,32 +283,24 @@ def _count_holding(
 
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:
-    """Refuse a mission whose first commitments are not clear of each other.
-
-    Raises:
-        InputError: Neither the plans nor the free motion of two agents are.
-    """
+    """Refuse a mission whose first commitments are not clear of each other."""
     i, j, radius = list_pairs(offers, graph)
     met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
-    if len(met) and offers.drifts is not None:
-        k, distance = met[0], offers.drifts.horizon.distance
-        raise InputError(
-            "plan.passive_safety_m",
-            f"agents {offers.agents[i[k]]} and {offers.agents[j[k]]} find no plans from every step "
-            f"of which they drift {distance:g} m apart; a smaller distance, a shorter "
-            "passive_safety_min, other starts or more leg.steps would do",
-        )
-    if len(met):
-        k = met[0]
-        refuse_start(int(offers.agents[i[k]]), int(offers.agents[j[k]]), float(radius[k]))
+    if not len(met):
+        return
+    agent, other = (int(offers.agents[rows[met[0]]]) for rows in (i, j))
+    if offers.drifts is None:
+        refuse_start(agent, other, float(radius[met[0]]))
+    raise InputError(
+        "plan.passive_safety_m",
+        f"agents {agent} and {other} find no plans from every step of which they drift "
+        f"{offers.drifts.horizon.distance:g} m apart; a smaller distance, a shorter "
+        "passive_safety_min, other starts or more leg.steps would do",
+    )
 
 
 def refuse_start(agent: int, other: int, radius: float) -> NoReturn:
-    """Refuse starts from which two agents can neither drift nor fly to their targets.
-
-    Raises:
-        InputError: Always.
-    """
+    """Refuse starts from which two agents can neither drift nor fly to their targets."""
     raise InputError(
         "swarm.start",
         f"agents {agent} and {other} can neither drift nor fly to their targets {radius:.4g} m "

@@ -46,11 +46,7 @@ class Budget:
         self._left = seconds
 
     def spend(self, seconds: float) -> None:
-        """Take the time of a computation.
-
-        Raises:
-            Undecided: There is less.
-        """
+        """Take the time of a computation [s]; raise Undecided where there is less."""
         if seconds > self._left:
             raise Undecided(is_too_large=False)
         self._left -= seconds
@@ -58,8 +54,7 @@ class Budget:
     def solve(self, departure: Departure, target: Array, steps: int, factor: float) -> bool:
         """Tell whether an agent can reach a target, by the program of its transfer.
 
-        Raises:
-            Undecided: There is less time than that takes.
+        Undecided where there is less time than that takes.
         """
         seconds = float(np.polynomial.Polynomial(PROGRAM_TIME)(steps))
         refusal = INFEASIBLE * seconds

@@ -18,11 +18,7 @@ MAX_ORBITS = 15.0  # of drift: about a day in low orbits
 
 
 def check(mission: "Reconfiguration") -> None:
-    """Refuse passive safety where drifts cannot be foreseen for as long as it takes.
-
-    Raises:
-        InputError: They cannot; says why.
-    """
+    """Refuse passive safety where drifts cannot be foreseen for as long as it takes."""
     if mission.passive_safety is None:
         if mission.passive_safety_time is not None:
             reason = "has no effect without plan.passive_safety_m; give both, or none"
@@ -48,11 +44,7 @@ def check(mission: "Reconfiguration") -> None:
 
 
 def check_targets(mission: "Reconfiguration") -> None:
-    """Refuse targets that do not keep the distance themselves for as long as drifts are to.
-
-    Raises:
-        InputError: Two targets of a leg of the drawn mission do not.
-    """
+    """Refuse targets that do not keep the distance themselves for as long as drifts are to."""
     if mission.passive_safety is None:
         return
     from sato.reconfiguration.passive_safety import follow_targets
@@ -74,11 +66,7 @@ def check_targets(mission: "Reconfiguration") -> None:
 
 
 def check_network(mission: "Reconfiguration") -> None:
-    """Refuse starts in several networks: a drift leads far, and nobody knows of another network.
-
-    Raises:
-        InputError: Those of the drawn mission are.
-    """
+    """Refuse starts in several networks: a drift leads far, and nobody knows of another network."""
     if mission.passive_safety is None:
         return
     place, alive = mission.initial_states[:, : mission.axes], mission.alive

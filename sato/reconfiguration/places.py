@@ -27,9 +27,6 @@ def draw_targets(
     """Return the targets of a leg as states, which are reached at a time [s].
 
     There are as many as the demand, or more. The number of the leg is for errors.
-
-    Raises:
-        InputError: They cannot be placed, or are too fast.
     """
     where = f"leg.{number}.shape"
     kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
@@ -44,8 +41,8 @@ def draw_targets(
             _check_separation(mission, placed[: len(radii)], placed[:0], kept * radii, "target", 0)
     limits = [mission.speed_limit(i) for i in range(len(placed))]
     if mission.assignment != "given":  # any vehicle may have to arrive there
-        limits = [min(mission.speed_limits, key=lambda one: float(one.most * one.shares.min()))]
-        limits *= len(placed)
+        least = min(mission.speed_limits, key=lambda limit: float(limit.most * limit.shares.min()))
+        limits = [least] * len(placed)
     return _with_velocities(mission, placed, drawn.velocities, arrival, where, limits, "target")
 
 
@@ -62,9 +59,6 @@ def draw_joins(
 
     The known states are those of agents that may be there when it begins, at that time [s]. The
     number of the leg is for errors.
-
-    Raises:
-        InputError: They cannot be placed, are too close to others or too fast.
     """
     drawn: list[tuple[int, Float[Array, "k n"]]] = []  # steps and states
     for i, join in enumerate(leg.joins):
@@ -97,9 +91,6 @@ def draw_start(
     """Return the states of agents that start or join at a time t [s].
 
     Other agents occupy some positions [m]. `where` is the key of the start, for errors.
-
-    Raises:
-        InputError: They cannot be placed, are too close to others or too fast.
     """
     axes, count, velocity = mission.axes, len(agents), None
     with errors_in(where):
@@ -134,9 +125,6 @@ def _check_separation(
     """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
     The radii are those at both, and `first` is the number of the first that is placed.
-
-    Raises:
-        InputError: Two are too near.
     """
     together = mission.scale_separations(np.concatenate([placed, occupied]))
     pairs = scipy.spatial.cKDTree(together).query_pairs(radii.max(), output_type="ndarray")

@@ -9,9 +9,7 @@ from jaxtyping import Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
-from dynamics.doors import check_methods
 from problems.limit import Limit
-from sato.network.link import Link
 from sato.reconfiguration.tracking import (
     MAX_RESERVE,
     RESERVE_SIGMAS,
@@ -27,24 +25,8 @@ if TYPE_CHECKING:
     from problems.transfer import TransferProblem
 
 
-@check_methods
 class PlannedLimits(Vehicles):
     """Properties that follow from the limits of a mission, its noise and its margin."""
-
-    comm_radius: float
-    sensing_radius: float | None
-    obstacles: tuple[Any, ...]
-    replan_steps: int
-    margin: Any
-    allow_undetectable: bool
-    printed: bool
-    link: Link
-    compute: float
-    disturbance: float
-    position_noise: float
-    velocity_noise: float
-    thrust_error: float
-    pointing_error: float
 
     @property
     def lag_steps(self) -> int:
@@ -173,14 +155,10 @@ class PlannedLimits(Vehicles):
     ) -> float:
         """Return a speed from which vehicles stop before they meet others that they do not hear.
 
-        They fly on for so many steps h, and stop at the least control U of plans in whole steps:
+        They fly on for so many steps h, and stop at the least control U of plans in whole steps.
+        The margin is in R [m]:
 
             V n h + V²/2U + V h/2 ≤ r(V)     [m]
-
-        Args:
-            steps: Steps h for which they fly on.
-            margin: Margin in R [m].
-            control_factor: Factor of all limits of the control.
         """
         if not self.is_point_mass or self.allow_undetectable or self.printed:
             return inf
@@ -195,11 +173,7 @@ class PlannedLimits(Vehicles):
         return min(float(self.top_speeds.max()), self.speed_within_reach(steps, margin))
 
     def skew_margin(self, margin: float) -> float:
-        """Return by how much two come nearer than planned as their clocks differ, at most [m].
-
-        Args:
-            margin: Margin for all else [m].
-        """
+        """Return by how much two come nearer than planned as their clocks differ [m]."""
         skew = self.link.skew
         return skew * self.fastest_plans(self.replan_steps, margin) if skew else 0.0
 
@@ -236,10 +210,6 @@ class PlannedLimits(Vehicles):
         """Return the limit of the velocity in the plans of an agent [m/s].
 
         Where it could not stop within reach from full speed, it plans to fly more slowly.
-
-        Args:
-            agent: Number of the agent.
-            control_factor: Factor of all limits of the control.
         """
         limit = self.speed_limit(agent)
         slow = self.speed_within_reach(self.replan_steps, self.known_margin, control_factor)

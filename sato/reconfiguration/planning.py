@@ -147,10 +147,8 @@ def plan_alone(
     """Plan for every agent that decides as if it were alone.
 
     `heard_clock` is the clock with the most time left in each agent's component, as it was
-    announced.
-
-    Returns:
-        Planners, agents whose targets are out of reach, and the number of programs solved.
+    announced. With the planners come agents whose targets are out of reach, and the number of
+    programs solved.
     """
     mission, leg, memory = context.mission, context.leg, context.memory
     is_nonlinear = mission.nonlinear_model is not None

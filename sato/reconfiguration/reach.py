@@ -43,14 +43,10 @@ def check_reach(
 ) -> None:
     """Refuse a drawn mission in which an agent cannot reach a target, whatever the others do.
 
-    Where neither bounds nor the programs of some seconds decide, the mission is not refused. What
-    would do is found by bounds and such programs too, and proven: less may be enough. States to
-    reach in a leg are given after a number of steps, where they depend on it.
-
-    Raises:
-        InputError: An agent can reach none of the targets that it bids on, or too few of them
-            can be reached for every agent to have one; says for which agent, and what time or
-            control would do.
+    Or too few targets can be reached for every agent to have one. Where neither bounds nor the
+    programs of some seconds decide, the mission is not refused. What would do is found by bounds
+    and such programs too, and proven: less may be enough. States to reach in a leg are given after
+    a number of steps, where they depend on it.
     """
     budget = Budget(CHECK_TIME)
     for number, leg in enumerate(mission.legs):
@@ -134,15 +130,10 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     """Find the least number of steps in which each vehicle can arrive, without the others.
 
     A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
-    that it can.
-
-    Raises:
-        InputError: No number of steps is enough; the key of the steps is `where`.
+    that it can. Where no number is enough, `where` is the key of the steps that is refused.
     """
-    search, longest = (
-        _Search(departure, targets_after, AUTOMATIC_TIME),
-        _longest(departure, targets_after(1)),
-    )
+    search = _Search(departure, targets_after, AUTOMATIC_TIME)
+    longest = _longest(departure, targets_after(1))
     is_enough = partial(search.is_enough, trusts_bounds=True)
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)
     if least is None:
@@ -183,13 +174,9 @@ def find_stranded(
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
 
-    The factor is of all limits of the control.
-
-    Bounds decide most pairs. Of the others, transfers are solved one by one, as far as an
-    assignment depends on them, and as the budget allows.
-
-    Raises:
-        Undecided: More of them would be needed.
+    The factor is of all limits of the control. Bounds decide most pairs. Of the others, transfers
+    are solved one by one, as far as an assignment depends on them, and as the budget allows;
+    Undecided where more would be needed.
     """
     budget = budget or Budget(CHECK_TIME)
     is_short, given = steps <= MAX_ENERGY_STEPS, None

@@ -16,11 +16,8 @@ def list_relaxations(
     tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
     slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
     failed = [i for i, p in planners.items() if p.has_failed]
-    astray = {
-        *unreachable,
-        *failed,
-        *(i for i, p in planners.items() if _misses_target(mission, p)),
-    }
+    missing = [i for i, p in planners.items() if _misses_target(mission, p)]
+    astray = {*unreachable, *failed, *missing}
     beyond = "the target is out of reach in the time that is left"
     blocked = "no trajectory keeps clear of agents with priority"
     events: list[Event] = [

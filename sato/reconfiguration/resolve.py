@@ -16,11 +16,7 @@ CONTROL_FACTOR = 10.0  # times a control that is enough for any way of the missi
 
 
 def resolve(mission: Reconfiguration) -> Reconfiguration:
-    """Return a drawn mission with its margin, tolerances, limits and bid increment as numbers.
-
-    Raises:
-        InputError: The margin leaves no room between the targets.
-    """
+    """Return a drawn mission with its margin, tolerances, limits and bid increment as numbers."""
     mission = _cut_control(mission)
     # A single target has no spacing; the least distance that there may be stands for it.
     spacing = mission.target_spacing
@@ -57,9 +53,6 @@ def check_margin(margin: float, verb: str, spacing: float, R: float, least: floa
 
     They are as far apart as the spacing, and their vehicles keep R without a margin [m]. The
     verb says how the margin comes about, for the error, and `least` what would do at least [m].
-
-    Raises:
-        InputError: It does not; says what would do.
     """
     kept = 1 + SEPARATION_TOLERANCE
     if margin > 0 and (R + margin) * kept > spacing * (1 + 1e-9):
@@ -75,11 +68,7 @@ def check_margin(margin: float, verb: str, spacing: float, R: float, least: floa
 
 
 def check_skew(mission: Reconfiguration, margin: float) -> None:
-    """Refuse a margin by which vehicles do not keep apart as their clocks differ.
-
-    Raises:
-        InputError: It is too small; says what would do.
-    """
+    """Refuse a margin by which vehicles do not keep apart as their clocks differ."""
     least = mission.skew_margin(margin)
     if margin < least * (1 - 1e-9):
         reason = f"{margin:g} is less than the {least:.4g} m that two come nearer than planned"

@@ -30,7 +30,10 @@ def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
     record = ReconfigurationRecord.from_data(data, mission)
     frames, alive = record.frames, record.frames.alive
     fuel = np.cumsum(np.pad(compute_step_fuel(record), ((1, 0), (0, 0))), axis=0)
-    targets = _collect_targets(record)
+    place = np.full_like(record.variables.target_position, np.nan)
+    for row, used in zip(place, record.used_targets, strict=True):
+        row[: len(used)] = used[:, : place.shape[2]]
+    targets = Targets("target", place, record.leg_index, frames.target_index)
     nearest = nearest_distances(frames.position, alive | record.is_adrift)
     starts = [(record.time[leg.start_index], leg.leg_index) for leg in record.leg_records]
     return SwarmScene(
@@ -54,13 +57,6 @@ def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
         obstacles=tuple(map(enclose_obstacle, mission.obstacles)),
         viewpoint=GROUND if record.variables.chief is None else ORBIT,
     )
-
-
-def _collect_targets(record: ReconfigurationRecord) -> Targets:
-    position = np.full_like(record.variables.target_position, np.nan)
-    for row, used in zip(position, record.used_targets, strict=True):
-        row[: len(used)] = used[:, : position.shape[2]]
-    return Targets("target", position, record.leg_index, record.frames.target_index)
 
 
 def _measure_separation(record: ReconfigurationRecord) -> Series:

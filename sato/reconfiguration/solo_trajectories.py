@@ -28,11 +28,9 @@ def solve_solo_trajectories(
 
     The shared linear model comes first; where the dynamics are nonlinear, the trajectories are
     linearized about that solution once more, after which the remaining error is negligible.
-    Previous plans are given by their remaining controls, if they still reach the targets.
-
-    Returns:
-        Each agent's own dynamics, and its trajectory; the numbers of those that neither a
-        trajectory nor the previous plan takes to their targets; the number of programs solved.
+    Previous plans are given by their remaining controls, if they still reach the targets. Found
+    are each agent's own dynamics, and its trajectory; the numbers of those that neither a
+    trajectory nor the previous plan takes to their targets; the number of programs solved.
     """
     mission, state = context.mission, context.state[agents]
     targets = context.leg.targets[context.memory.target_index[agents]]

@@ -76,10 +76,8 @@ def end_at_rest(
 ) -> tuple[Float[Array, "each T m"], Int[Array, " each"]]:
     """Let double integrators stop at once after some steps of controls.
 
-    The velocities are those before the first step [m/s].
-
-    Returns:
-        Controls, 0 after the last of each, and how many each has.
+    The velocities are those before the first step [m/s]. Controls are 0 after the last of each,
+    and come with how many each has.
     """
     h, row = mission.step, np.arange(len(agents))
     gained = np.concatenate([np.zeros_like(velocity)[:, None], u.cumsum(axis=1)], axis=1)
@@ -113,10 +111,8 @@ def held_controls(
 ) -> tuple[Float[Array, "each T m"], Int[Array, " each"]]:
     """Return what agents fly if they do not decide again; one without a commitment stops.
 
-    A speed that noise has left is lost as soon as the committed controls end.
-
-    Returns:
-        Controls, 0 after the last of each, and how many each has.
+    A speed that noise has left is lost as soon as the committed controls end. Controls are 0 after
+    the last of each, and come with how many each has.
     """
     each = [committed_controls(mission, i, committed, instant) for i in agents.tolist()]
     held = pad_controls(each)
@@ -219,10 +215,7 @@ def find_stop(
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
     All have come to rest at the end of the horizon. The half-spaces are chosen about the nominal;
-    others that it meets are passed on the given side.
-
-    Returns:
-        Controls, states and control points; None where none is found.
+    others that it meets are passed on the given side. It has controls, states and control points.
     """
     others, clearance, obstacles, rest_steps = avoided
     T = max(horizon.steps - 1 - rest_steps, 1)

@@ -111,18 +111,26 @@ def _largest_error(
 ) -> float:
     largest, d = 0.0, mission.axes
     model = mission.discretize(steps, t)
-    # A plant flies as many vehicles as there are; rows of NaN are none.
-    agents, n = mission.initial_states.shape
-    batches = np.full((-(-len(states) // agents), agents, n), np.nan)
-    batches.reshape(-1, n)[: len(states)] = states
-    for x in batches:
-        for u in (mission.largest_control, -mission.largest_control):
-            control = np.full((len(x), d), u)
-            flown = mission.flown_plant.propagate(x, control, t, steps * mission.step)[-1]
-            planned = model.simulate(x, np.repeat(control[:, None], steps, axis=1))[:, -1]
-            error = (flown - planned)[:, :d]
-            largest = max(largest, float(np.nanmax(np.linalg.norm(error, axis=1))))
+    for most in (mission.largest_control, -mission.largest_control):
+        u = np.full((len(states), steps, d), most)
+        flown = _fly_plant(mission, states, u[:, 0], t, steps * mission.step)
+        error = (flown - model.simulate(states, u)[:, -1])[:, :d]
+        largest = max(largest, float(np.linalg.norm(error, axis=1).max()))
     return largest
+
+
+def _fly_plant(
+    mission: Reconfiguration, x: Float[Array, "k n"], u: Float[Array, "k d"], t: float, time: float
+) -> Float[Array, "k n"]:
+    """Return the states a time [s] later; the plant flies as many vehicles as there are at once."""
+    agents, n = mission.initial_states.shape
+    count = -(-len(x) // agents)
+    # Rows of NaN are no vehicles.
+    states, held = np.full((count, agents, n), np.nan), np.zeros((count, agents, n // 2))
+    states.reshape(-1, n)[: len(x)], held.reshape(-1, n // 2)[: len(x)] = x, u
+    for batch, control in zip(states, held, strict=True):
+        batch[:] = mission.flown_plant.propagate(batch, control, t, time)[-1]
+    return states.reshape(-1, n)[: len(x)]
 
 
 def model_error_on_arrival(mission: Reconfiguration) -> tuple[float, float]:
@@ -189,18 +197,10 @@ def _errors_along(
         own = linearize_along(mission.nonlinear_model, x, u, mission.step, t)
         each = enumerate(zip(x[:, 0], u, strict=True))
         planned = np.stack([own.for_agent(i).simulate(*path) for i, path in each])
-    # A plant flies as many vehicles as there are; rows of NaN are none.
-    agents, n = mission.initial_states.shape
-    count = -(-len(x) // agents)
-    flown, held = np.full((count * agents, n), np.nan), np.zeros((count * agents, steps, n // 2))
-    flown[: len(x)], held[: len(x)] = x[:, 0], u
+    flown = x[:, 0]
     for k in range(steps):
-        for rows in np.split(np.arange(count * agents), count):
-            now = t + k * mission.step
-            flown[rows] = mission.flown_plant.propagate(
-                flown[rows], held[rows, k], now, mission.step
-            )[-1]
-    return np.asarray(flown[: len(x)] - planned[:, -1])
+        flown = _fly_plant(mission, flown, u[:, k], t + k * mission.step, mission.step)
+    return np.asarray(flown - planned[:, -1])
 
 
 def noise_on_arrival(mission: Reconfiguration) -> tuple[float, float]:

@@ -54,17 +54,12 @@ def _axis(h: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 1"]]:
 def compute_deviations(
     step: float, position: float, velocity: float, acceleration: float, begin: int = 0
 ) -> TrackingDeviations:
-    """Compute how far agents are from their references.
+    """Compute how far agents are from their references, from a step on.
 
     The error is that of an estimate, which begins with the first measurement, plus the distance of
-    the estimate from the reference, which is independent of it.
-
-    Args:
-        step: Control step [s].
-        position: Standard deviation of measured positions [m].
-        velocity: Of measured velocities [m/s]; positive if that of positions is.
-        acceleration: Of accelerations that are not commanded [m/s²].
-        begin: Step from which on it counts.
+    the estimate from the reference, which is independent of it. Standard deviations are those of
+    measured positions [m] and velocities [m/s], the latter positive if the former are, and of
+    accelerations that are not commanded [m/s²].
     """
     (A, B), K = _axis(step), feedback_gain(step)[None]
     R, closed, is_exact = np.diag([position**2, velocity**2]), A - B @ K, position == 0

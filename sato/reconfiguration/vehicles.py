@@ -7,35 +7,17 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.doors import check_methods
 from problems.limit import Limit, Norm
-from sato.reconfiguration.leg import Leg
-from sato.reconfiguration.models import Motion
+from sato.reconfiguration.fields import ReconfigurationFields
 from sato.scenario.definition import Count
 from sato.scenario.errors import InputError
 
-PerVehicle = float | tuple[float, ...]  # the same for all, or an entry for each
 
-
-@check_methods
-class Vehicles(Motion):
+class Vehicles(ReconfigurationFields):
     """Properties that follow from the limits of a mission.
 
     Agents that join later come after those of the start, in the order of legs and joins.
     """
-
-    collision_radius: PerVehicle
-    priority: tuple[float, ...] | None
-    agents: int | None
-    legs: tuple[Leg, ...]
-    max_control: PerVehicle | None
-    max_control_axes: tuple[float, ...] | None
-    max_speed: PerVehicle
-    max_speed_axes: tuple[float, ...] | None
-    control_norm: Norm
-    speed_norm: Norm
-    separation_axes: tuple[float, ...] | None
-    separation_semi_axes: tuple[float, ...] | None
 
     @property
     def ellipsoid(self) -> tuple[float, ...] | None:
@@ -99,9 +81,7 @@ class Vehicles(Motion):
     ) -> Float[Array, " agents"]:
         """Return the distance that two of each agent's kind keep [m].
 
-        Args:
-            clearance: Distance that any two keep, whatever their radii [m].
-            agents: Numbers of the agents.
+        The clearance is what any two keep, whatever their radii [m].
         """
         if self.has_equal_radii:
             return np.full(len(agents), clearance)
@@ -245,7 +225,10 @@ def check_automatic_steps(mission: Any) -> None:
 
 
 def _limits(
-    limits: PerVehicle | None, limits_of_axes: tuple[float, ...] | None, norm: Norm, axes: int
+    limits: float | tuple[float, ...] | None,
+    limits_of_axes: tuple[float, ...] | None,
+    norm: Norm,
+    axes: int,
 ) -> tuple[Limit, ...]:
     bounds: Any = limits if isinstance(limits, tuple) else (limits,)
     bounds = bounds if limits_of_axes is None else (np.array(limits_of_axes),)

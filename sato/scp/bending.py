@@ -116,13 +116,9 @@ def _are_too_near(
 def push_apart(
     relative: Float[Array, "others pieces d"], wanted: Float[Array, " others"]
 ) -> Float[Array, "others pieces d"]:
-    """Return what keeps a path at wanted distances of others, across the relative motion [m].
+    """Return what keeps a path at wanted distances [m] of others, across the relative motion [m].
 
     Two that meet head-on go each to its right.
-
-    Args:
-        relative: Path less those of others [m].
-        wanted: Distance from each other [m].
     """
     pieces, R = relative.shape[1], wanted[:, None]
     k = np.arange(pieces)

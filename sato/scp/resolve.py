@@ -29,13 +29,8 @@ def resolve_conflicts(
 ) -> ConflictResolution:
     """Try orders of priority and then roundabouts, each followed by negotiation.
 
-    Each component keeps the cheapest.
-
-    Args:
-        planners: Planner of each live agent, by its number; the first order is that of `priority`.
-        graph: Communication graph.
-        orders: Largest number of orders of priority.
-        sweeps: Largest number of sweeps of negotiation; with 0 there are no roundabouts either.
+    The first order is that of `priority`. Each component keeps the cheapest. With 0 sweeps of
+    negotiation there are no roundabouts either.
     """
     ordered = priority_orders.try_priority_orders(planners, graph, orders)
     if sweeps == 0:

@@ -18,10 +18,8 @@ def minimize_along(
     """Find the least value of a function along pieces, if it is less than enough.
 
     The function takes control points of some parts, and the numbers of their pieces. It returns
-    its values at the middles of the parts, and lower bounds of its values along them.
-
-    Returns:
-        The value, the number of its piece, −1 where there is none, and the fraction of the piece.
+    its values at the middles of the parts, and lower bounds of its values along them. Found are the
+    value, the number of its piece, −1 where there is none, and the fraction of the piece.
     """
     found, number = (enough, -1, 0.0), np.arange(len(pieces))
     middle, width = np.full(len(pieces), 0.5), 1.0

@@ -23,7 +23,7 @@ from sato.summary import format_value
 
 def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
     """Summarize a run from its data; entries that do not apply are absent."""
-    mission, frames = record.mission, record.frames
+    mission, frames, radius = record.mission, record.frames, record.mission.collision_radius
     legs = [summarize_leg(record, leg) for leg in record.leg_records]
     found, _ = record.separations
     least = float(sampled_separations(frames.position, frames.alive).min())
@@ -32,13 +32,15 @@ def summarize(record: ReconfigurationRecord) -> dict[str, Any]:
         "reached": reached,
         "min_separation_m": min(found.minimum.distance, least),
         "min_separation_at_samples_m": least,
-        **_summarize_radii(record),
+        "collision_radius_m": list(radius) if isinstance(radius, tuple) else radius,
         "solves": sum(int(event["solves"]) for _, event in record.events.of_kind("replan")),
         "fuel_m_s": float(compute_step_fuel(record).sum()),
         "margin_m": float(mission.margin),
         "position_tolerance_m": float(mission.position_tolerance),
         "velocity_tolerance_m_s": float(mission.velocity_tolerance),
     }
+    if mission.has_own_separations:
+        summary["min_relative_separation"] = record.relative_separations[0].minimum.distance
     if record.clearance is not None:
         summary["min_obstacle_distance_m"] = record.clearance.distance
     if (drifts := record.drift_approaches) is not None:
@@ -100,23 +102,16 @@ def _summarize_messages(record: ReconfigurationRecord) -> dict[str, Any]:
     }
 
 
-def _summarize_radii(record: ReconfigurationRecord) -> dict[str, Any]:
-    radius = record.mission.collision_radius
-    found = {"collision_radius_m": list(radius) if isinstance(radius, tuple) else radius}
-    if record.mission.has_own_separations:
-        found["min_relative_separation"] = record.relative_separations[0].minimum.distance
-    return found
-
-
 def summarize_leg(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, Any]:
     """Summarize one leg; entries that do not apply are absent."""
     position_error, velocity_error = compute_terminal_errors(record, leg)
     resets = (k for k, _ in record.events.of_kind("reset"))
-    start = record.frames.component[leg.start_index]
+    start, held = record.frames.component[leg.start_index], leg.target_index[leg.alive]
+    _, holders = np.unique(held[held >= 0], return_counts=True)
     return drop_non_finite(
         {
             "reached": is_reached(record, leg),
-            "duplicates": count_duplicates(leg),
+            "duplicates": int((holders > 1).sum()),
             **_measure_shape(record, leg),
             "targets_believed": leg.largest_target_count,
             "worst_position_error_m": float(np.fmax.reduce(position_error, initial=np.nan)),
@@ -183,13 +178,6 @@ def find_fault(record: ReconfigurationRecord, leg: LegRecord) -> str:
             return f"{name}, target {target} is {off} from agent {agent} ({tolerance})"
     twice = [int(target) for target in held if (held == target).sum() > 1]
     return f"{name}, target {twice[0]} has two holders" if twice else ""
-
-
-def count_duplicates(leg: LegRecord) -> int:
-    """Count the targets with two live holders or more."""
-    held = leg.target_index[leg.alive]
-    _, counts = np.unique(held[held >= 0], return_counts=True)
-    return int((counts > 1).sum())
 
 
 def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, float]:

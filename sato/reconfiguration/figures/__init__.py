@@ -40,7 +40,7 @@ def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     where there is a chief, and drifts where the mission asks for passive safety.
     """
     record = ReconfigurationRecord.from_data(data, mission)
-    drawn = FIGURES | (PAIR_FIGURES if half_space.has_encounter(record) else {})
+    drawn = FIGURES | (PAIR_FIGURES if record.separations[0].minimum.piece >= 0 else {})
     if record.variables.chief is not None:
         drawn = drawn | ORBIT_FIGURES
     if record.variables.received_bytes is not None:

@@ -36,11 +36,6 @@ class Encounter(NamedTuple):
     distance: float  # least [m]
 
 
-def has_encounter(record: ReconfigurationRecord) -> bool:
-    """Tell whether any two agents were there in one step."""
-    return _find_closest(record).piece >= 0
-
-
 def plot_half_space(record: ReconfigurationRecord) -> Figure:
     """Plot the pair that came closest: prohibited circle, and half-planes by its flown step."""
     found = find_encounter(record)
