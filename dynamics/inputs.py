@@ -54,7 +54,15 @@ def as_array(value: Any, ndim: int) -> Array:
 
 
 def read_array(value: Any, kinds: str = "iuf") -> Array:
-    """Convert to a new array, of any shape and of kinds as `numpy.dtype.kind` has them."""
+    """Convert to a new array, of any shape.
+
+    Args:
+        value: Array, numbers, or nested lists of numbers.
+        kinds: Kinds of numbers that are wanted, as `numpy.dtype.kind` has them.
+
+    Raises:
+        InputError: It is masked, has rows of several lengths, or numbers of another kind.
+    """
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
     wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")

@@ -89,9 +89,22 @@ def integrate_orbits(
 ) -> Array:
     """Integrate by the Dormand–Prince method of order eight, until an impact.
 
-    The rate is (t, y) ↦ ẏ. Its t and all times are counted from t0 [s]. Radii are y ↦ distances
-    from the center [m], each of an agent, which an `Impact` names. Tolerances are of each
-    entry, and the integrator bounds the root mean square of the errors over all entries.
+    Args:
+        rate: (t, y) ↦ ẏ, with t counted from the initial time.
+        y0: Initial y.
+        times: Times of the values to return, counted from the initial time [s].
+        rtol: Error tolerance of a step relative to each entry of y.
+        atol: Absolute tolerance in addition; the integrator bounds the root mean square of
+            the errors over all entries.
+        radii: y ↦ distances from the center [m].
+        agents: Index of each distance in an `Impact`.
+        forces: Forces, of which the radius of the body ends the integration.
+        t0: Initial time, for an `Impact` [s].
+        first_step: Length of the first step [s], or None to let the integrator choose.
+
+    Raises:
+        Impact: An agent hits the body.
+        RuntimeError: The integrator fails.
     """
 
     def altitude(t: float, y: Array) -> float:

@@ -139,7 +139,17 @@ def make_function(rate: Callable[[Any, Any, Any], Any], axes: int) -> Any:
 
 
 def trace(rate: Callable[..., Any], model: Any, *values: Any) -> Any:
-    """Return a rate (model, t, x, u) ↦ ẋ, written for arrays, as an expression of CasADi."""
+    """Return the rate of a model, which is written for arrays, as an expression of CasADi.
+
+    Args:
+        rate: (model, t, x, u) ↦ ẋ.
+        model: Object with the attribute `axes`.
+        values: t, x and u, at least one of them an expression.
+
+    Raises:
+        ValueError: The size of t, x or u is wrong, or SX and MX are mixed.
+        TypeError: The rate uses what symbols do not have.
+    """
     import casadi
 
     kinds = [type(v).__name__ for v in values]

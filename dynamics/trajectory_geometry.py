@@ -226,9 +226,17 @@ def sampled_interpolation_error(position: Samples, velocity: Samples, h: float) 
 
     Cubics over two pieces have an error of p⁗ (2h)⁴/384 at their middles, which are samples
     of the trajectory; those of one piece have a sixteenth of it. The estimate is good while
-    p⁗ changes little and the control is the same over two pieces. There is an odd number of
-    instants, h apart. Entries that are not finite belong to absent agents. The separation of two
-    agents may be less than that of their cubics by twice as much.
+    p⁗ changes little and the control is the same over two pieces. Entries that are not
+    finite belong to absent agents. The separation of two agents may be less than that of
+    their cubics by twice as much.
+
+    Args:
+        position: Positions at an odd number of instants [m].
+        velocity: Velocities at these instants [m/s].
+        h: Time between the instants [s].
+
+    Raises:
+        ValueError: The number of instants is even.
     """
     if position.shape[-2] % 2 == 0:
         found = f"{position.shape[-2]} instants do not pair up into pieces of twice the length"

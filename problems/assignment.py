@@ -17,6 +17,15 @@ def solve_assignment(
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
     This needs all costs at once. No agent of a swarm knows those of the others for certain.
+
+    Args:
+        cost: Cost of each target for each agent; at least as many targets as agents.
+
+    Returns:
+        The target of each agent.
+
+    Raises:
+        ValueError: A cost is not finite, or there are fewer targets than agents.
     """
     agents, targets = cost.shape
     if agents > targets:

@@ -69,8 +69,17 @@ def generate_constraints(
 ) -> Trajectory:
     """Find the trajectory of least fuel, and penalties of what it misses, inside half-spaces.
 
-    A half-space may be violated by the tolerance [m], and beyond it at a cost of the largest
-    violation [1/s], infinite where none may be.
+    Args:
+        transfer: Motion, limits and weights of the fuel.
+        start: State at the start.
+        goals: States to be in.
+        spaces: Half-spaces.
+        tolerance: By which a half-space may be violated [m].
+        slack_penalty: Cost of the largest violation beyond it [1/s]; infinite where none may be.
+
+    Raises:
+        Infeasible: No trajectory satisfies the constraints that must hold.
+        Unsolved: The method stopped without an answer.
     """
     limit, axes = transfer.control_limit, transfer.model.axes
     free, response = transfer.coast(start), limit.most * transfer.response_matrices[0]

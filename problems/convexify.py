@@ -204,7 +204,15 @@ def convexify_end(
     normal: Float[Array, "others pieces d"],
     separation: Float[Array, " others"],
 ) -> HalfSpaces:
-    """Constrain where an agent rests after T steps, while others move on over the horizon."""
+    """Constrain where an agent comes to rest, while others move on to the end of the horizon.
+
+    Args:
+        horizon: Avoidance horizon and its pieces.
+        T: Steps after which the agent rests.
+        others: Control points c̄ of the others [m].
+        normal: Unit normals n of the half-spaces.
+        separation: Required distances.
+    """
     P, Q, r = (part[T - 1, -1, -1] for part in horizon.control_point_maps)
     later = slice(T * horizon.pieces_per_step, None)
     n = normal[:, later]

@@ -197,7 +197,15 @@ class DriftHorizon:
         nominal: Trajectory,
         side: PassingSide = "same",
     ) -> HalfSpaces:
-        """Constrain a plan near its nominal to the distance in encounters [Morgan2016, eq. 64]."""
+        """Constrain a plan so that it keeps the distance in encounters [Morgan2016, eq. 64].
+
+        Args:
+            own: Motion of the vehicle along its nominal.
+            others: Motion of the others.
+            encounters: Of its own drifts with plans of others, and of its plan with their drifts.
+            nominal: Nominal.
+            side: Side on which to pass.
+        """
         of_drifts, of_plan = encounters
         (other, row), (met, theirs) = of_drifts, of_plan
         relative = own.drifts[row] - others.path[other, self.piece[row]]

@@ -38,9 +38,17 @@ def solve(
     acceleration [Walker2011] extrapolates W and is undone where the residual grows; it saves
     half of the iterations on sparse graphs.
 
-    The fastest L so far is returned, and the Y of the least bound; the first of each are those of
-    the projection of I − K Kᴴ. The bound is below `MIN_RATE` where no gains stabilize, and
-    `NoGainMatrix` tells where all matrices have trace 0.
+    Args:
+        problem: Kernel and graph.
+        tolerance: Largest gap between rate and bound, relative to the bound.
+        max_iterations: Limit after which the best result so far is returned.
+
+    Returns:
+        The fastest L so far and the Y of the least bound. The first of each are those of
+        the projection of I − K Kᴴ. The bound is below `MIN_RATE` where no gains stabilize.
+
+    Raises:
+        NoGainMatrix: The graph and the kernel admit matrices of trace 0 only.
     """
     ideal = problem.complete_solution
     L, Y = problem.project(ideal)

@@ -179,7 +179,15 @@ def choose_half_spaces(
 ) -> tuple[Float[Array, "all pieces 4 d"], Float[Array, "all pieces d"], Float[Array, " all"]]:
     """Choose half-spaces between a nominal path, other agents and then obstacles.
 
-    Control points, unit normals and required distances are those that `convexify` takes.
+    Args:
+        nominal: Control points [m].
+        others: Control points of the other agents [m].
+        required: Distance that planned trajectories keep from each [m].
+        obstacles: Obstacles.
+        side: Side on which to pass those that the nominal meets.
+
+    Returns:
+        Control points, unit normals and required distances, as `convexify` takes them.
     """
     normals = choose_normals(nominal - others, required, side)
     if obstacles is None:

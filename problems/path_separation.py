@@ -91,9 +91,18 @@ def near_pieces(
     j: Int[Array, " pairs"],
     radius: Float[Array, " pairs"],
 ) -> tuple[Int[Array, " near"], Int[Array, " near"]]:
-    """List pairs by number and pieces of paths whose points may be nearer than a distance [m].
+    """List the pieces of pairs of paths whose points may be nearer than a distance.
 
     Boxes about several pieces of each path are compared, which leaves out nearly all.
+
+    Args:
+        paths: Points of each piece [m].
+        i: First path of each pair.
+        j: Second one.
+        radius: Distance of each pair [m].
+
+    Returns:
+        Number of the pair, and the piece, of all that are left.
     """
     pieces, corners, d = paths.shape[1:]
     compared, place = np.unique([i, j], return_inverse=True)

@@ -343,7 +343,17 @@ def tie_break_weights(T: int, rise: float) -> Float[Array, " T"]:
 
 
 def solve_cvxpy(owner: object, problem: Any, solver: Solver = solve_program) -> None:
-    """Solve a CVXPY problem of its owner in place, and verify its solution as that of any other."""
+    """Solve a CVXPY problem in place, and verify its solution as that of any other.
+
+    Args:
+        owner: The object that the problem belongs to; errors keep it and name its class.
+        problem: A `cvxpy.Problem`.
+        solver: Solver of the program that CVXPY makes of it.
+
+    Raises:
+        Infeasible: No point satisfies every constraint.
+        Unsolved: The solver stopped for any other reason.
+    """
     import cvxpy as cp
 
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})

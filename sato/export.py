@@ -61,10 +61,22 @@ def export(
 ) -> Path:
     """Write the trajectories of a run for other tools.
 
-    The format "oem" is one CCSDS OEM an object, in inertial axes, in a folder; it needs a chief.
-    "csv" is one table of all states, in the chief's frame and, where there is a chief, in inertial
-    axes too. "rrd" is a recording of the scene for the viewer Rerun, with targets, links and
-    obstacles. What is at the path is replaced once all is written, and kept if that fails.
+    Args:
+        data: Data of the run.
+        path: A folder for "oem", a file for the others. What is there is replaced once all is
+            written, and kept if that fails.
+        format: "oem" is one CCSDS OEM an object, in inertial axes. "csv" is one table of all
+            states, in the chief's frame and, where there is a chief, in inertial axes too. "rrd"
+            is a recording for the viewer Rerun, with targets, links and obstacles.
+        make_scene: Makes the scene of the run, for "rrd".
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The run has no chief, and so no inertial states; there is something else at
+            the path; or Rerun is not installed.
+        OSError: The path cannot be written to.
     """
     path = Path(path)
     reason = _find_obstacle(data, path, format)

@@ -14,7 +14,16 @@ TIMELINE = "time"
 
 
 def write_recording(scene: SwarmScene, name: str, path: Path) -> Path:
-    """Write vehicles, targets, links, obstacles, curves and events over time; return the path."""
+    """Write vehicles, targets, links, obstacles, curves and events over time.
+
+    Args:
+        scene: Scene of the run.
+        name: Name of the scenario.
+        path: File to write, by custom with the ending .rrd.
+
+    Returns:
+        The path.
+    """
     import rerun
 
     with replace_atomically(path) as new, rerun.RecordingStream(f"sato {name}") as recording:

@@ -30,8 +30,17 @@ def fly_locally(
     """Fly trials in processes, and yield them as they end.
 
     Each process has a pool of its own, which is replaced when it dies: a process that is ended
-    while it takes a trial may leave its pipe locked, and what it took is not known. Refuse
-    functions that workers cannot import; a `WorkerError` says that these end before they begin.
+    while it takes a trial may leave its pipe locked, and what it took is not known.
+
+    Args:
+        workers: Number of processes.
+        function: Function of a trial, importable by name.
+        trials: Trials, taken as workers become free.
+        time_limit: Time after which a trial is ended [s]; None for no limit.
+
+    Raises:
+        InputError: A function of the user's cannot be imported by the workers.
+        WorkerError: Workers end before they begin.
     """
     context, remaining, futile = make_context(PRELOADED), iter(trials), 0
     again: list[Trial] = []  # trials of processes that died before they began

@@ -22,8 +22,16 @@ def exchange_messages(
 ) -> Knowledge:
     """Send what every agent measures and estimates; some messages are lost or delayed.
 
-    The inbox, the messages on their way and the outages are changed in place; what is known is
-    returned with the newest rows of the adjacency matrix of those known and received.
+    Args:
+        known: Content of messages; the inbox is changed in place.
+        on_their_way: Messages that have not arrived, changed in place.
+        mission: Drawn mission.
+        number: Number of the control step.
+        rng: Draws losses.
+        outages: Pairs between which messages are lost; changed in place.
+
+    Returns:
+        What is known, with the newest rows of the adjacency matrix of those known and received.
     """
     measurements, inbox, estimates = known
     link, now = mission.link, number * mission.step

@@ -102,7 +102,17 @@ class RandomSpheres(Definition):
         min_distance: float,
         rng: np.random.Generator,
     ) -> tuple[Sphere, ...]:
-        """Draw spheres about the swarm, clear of starts and waypoints; refuse them without room."""
+        """Draw spheres about the swarm.
+
+        Args:
+            start: Initial positions [m].
+            waypoints: Waypoints of the leader [m].
+            min_distance: Distance at which repulsion is infinite [m].
+            rng: Random generator.
+
+        Raises:
+            InputError: There is no room.
+        """
         of_start = max(START_CLEARANCE, min_distance + REPULSION_CLEARANCE)
         of_waypoint = max(WAYPOINT_CLEARANCE, min_distance + REPULSION_CLEARANCE)
         points = np.concatenate([start, waypoints])

@@ -43,7 +43,15 @@ def iterate_power(
     gains: PowerIterationGains,  # complete
     exchanges: int,
 ) -> PowerIterates:
-    """Exchange iterates with all neighbors so many times, synchronously."""
+    """Exchange iterates with all neighbors, synchronously.
+
+    Args:
+        iterates: Iterates of each agent.
+        weight: A_ij as estimated by agent i.
+        hears: True where agent i hears agent j.
+        gains: Complete gains.
+        exchanges: Number of exchanges.
+    """
     v, mean, held = iterates
     h, L, neighbors = gains.exchange_period, laplacian(weight * hears), laplacian(1.0 * hears)
     for _ in range(exchanges):

@@ -55,7 +55,16 @@ def measure(
     mission: Connectivity,
     rng: np.random.Generator,
 ) -> Measurements:
-    """Measure with the sensors of all live agents, after the measurements of a step ago."""
+    """Measure with the sensors of all agents.
+
+    Args:
+        vehicles: True state of all agents.
+        views: Views of their cameras.
+        alive: True for agents that measure.
+        before: Measurements of a step ago.
+        mission: Drawn mission.
+        rng: Draws the noise of the cameras.
+    """
     sees = views.view_cosine > mission.assumed_camera.a_min
     p = np.where(sees[..., None], views.relative_position, np.nan)
     if mission.camera_noise > 0:

@@ -97,6 +97,16 @@ def update_velocity_observer(
     """Advance the observer of another agent's velocity [Bernard2023, eq. 15–17].
 
     e is ⁱR_j v_j through a filter of first order; exact where p_ij moves on a straight line.
+
+    Args:
+        p: p_ij as measured now [m].
+        previous_p: p_ij as measured a step ago; NaN where the observer starts again [m].
+        v: Own velocity in the step, body frame [m/s].
+        w: Own yaw rate in the step [rad/s].
+        twist: Velocity of the other in its body frame, and its yaw rate, as received.
+        observer: e, v_j through the same filter, and the time since the start [s].
+        tracking: Gains.
+        dt: Step [s].
     """
     observed, received, age = observer[..., :3], observer[..., 3:6], observer[..., 6:]
     middle = (p + previous_p) / 2
@@ -150,7 +160,18 @@ def update_yaw_estimate(
     tracking: YawTracking,
     dt: float,  # step [s]
 ) -> Numbers:
-    """Advance ψ̃_ij by a step [Bernard2023, eq. 19]."""
+    """Advance ψ̃_ij by a step [Bernard2023, eq. 19].
+
+    Args:
+        psi: ψ̃_ij [rad].
+        rate: w_j − w_i [rad/s].
+        mutual: f*_ij f*_ji.
+        psi_bearings: ψ_ij from two bearings, where mutual is not zero [rad].
+        psi_motion: ψ̂_ij from motion [rad].
+        trust: Weight of ψ̂_ij, from 0 to 1.
+        tracking: Gains.
+        dt: Step [s].
+    """
     rate = rate + tracking.k2 * trust * (1 - mutual) * np.sin(psi_motion - psi)
     rate = rate + tracking.k3 * mutual * np.sin(psi_bearings - psi)
     return wrap_angle(psi + dt * rate)

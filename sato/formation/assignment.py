@@ -72,7 +72,17 @@ def assign_points(
     rng: np.random.Generator,
     outages: PairOutages | None = None,
 ) -> AssignmentResult:
-    """Hold an auction among agents that hear each other now; outages are of the rounds to come."""
+    """Hold an auction among the agents that hear each other now.
+
+    Args:
+        mission: A drawn mission.
+        leg: Index of the leg.
+        auction_index: Number of auctions held before on this leg.
+        state: State of all agents, with the messages received.
+        roles: Assignment until now.
+        rng: Generator for lost bids.
+        outages: Those of the links in the rounds to come.
+    """
     formation, agents = mission.gains[leg].formation, np.arange(mission.agents)
     settings, link, points = mission.assignment, mission.timed_link, formation.points
     if settings.method == "hungarian":

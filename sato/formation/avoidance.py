@@ -52,8 +52,18 @@ def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     left at all, the agent comes as near to standing still as it may. A command that has to change
     is turned to the right first, so that two that meet head-on pass.
 
-    Arguments are as of `avoid_all`, of one agent and its `count` others; the vertical part of u is
-    left alone, and the buffer is for half-planes n·u ≤ b. The result is True where u was changed.
+    Args:
+        u: Wanted velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
+        v: Velocity flown, (2,) [m/s].
+        others: Relative positions and velocities of the others, (≥ count, 4) [m, m/s].
+        count: Number of others.
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        max_speed: Largest speed [m/s].
+        planes: Buffer for half-planes n·u ≤ b, (≥ 2 count + 8, 3).
+
+    Returns:
+        True where the velocity was changed.
     """
     if count == 0:
         return False
@@ -101,8 +111,18 @@ def limit_approach(u, others, count, keep_out, rules, planes):
     Each of the others bounds the speed towards it, which makes a half-plane of velocities; the
     closest velocity in all of them is taken. Standing still is one of them, except where some
     agents are too close already. Where no velocity separates from all of these, one that
-    approaches none of them is taken. Arguments and result are as of `avoid_collisions`; of the
-    others the positions suffice, and the buffer needs a row for each.
+    approaches none of them is taken.
+
+    Args:
+        u: Velocity, (≥ 2,), changed in place; its vertical part is left alone [m/s].
+        others: Relative positions of the others in the plane, (≥ count, ≥ 2) [m].
+        count: Number of others.
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        planes: Buffer for half-planes, (≥ count, 3).
+
+    Returns:
+        True where the velocity was changed.
     """
     _bound_approach(others, count, keep_out, rules, -np.inf, planes)
     x, y, found = _project(u[0], u[1], planes, count)

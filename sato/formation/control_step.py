@@ -125,7 +125,18 @@ def simulate_steps(
     rng: Generator,
     outages: PairOutages | None = None,
 ) -> None:
-    """Simulate so many control steps from the first one on; state and outages change in place."""
+    """Simulate some control steps.
+
+    Args:
+        state: State, changed in place.
+        roles: Assignment and commands.
+        neighbors: Those of the roles.
+        swarm: Constants.
+        first: Number of the first of these control steps.
+        steps: Number of control steps.
+        rng: Generator for noise, wandering and lost messages.
+        outages: Those of the links, changed in place.
+    """
     mission = swarm.mission
     for number in range(first, first + steps):
         measure_own_positions(state, swarm, rng)

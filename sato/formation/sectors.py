@@ -12,7 +12,16 @@ import numpy as np
 
 @numba.njit(cache=True)
 def turn_out_of_sectors(u, others, start, keep_out, rules, changed):
-    """Turn the velocities of all agents, by `leave_sectors`; arguments are as of `avoid_all`."""
+    """Turn the velocities of all agents, by `leave_sectors`.
+
+    Args:
+        u: Velocities, (agents, 3), changed in place [m/s].
+        others: Relative positions of the others, (pairs, 2) [m].
+        start: First pair of each agent, (agents + 1,).
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        changed: Written: True where the velocity was changed.
+    """
     buffer = np.empty((len(u), 2))
     for i in range(len(u)):
         near, count = others[start[i] : start[i + 1]], start[i + 1] - start[i]
@@ -23,8 +32,16 @@ def turn_out_of_sectors(u, others, start, keep_out, rules, changed):
 def leave_sectors(u, others, count, keep_out, rules, buffer):
     """Turn a velocity, or stop it, so that it points at no other agent.
 
-    Arguments and result are as of `avoid_collisions`, but for the buffer, (≥ count, ≥ 2), of the
-    centers and half-angles of sectors. Where the velocity turns, its vertical part is left alone.
+    Args:
+        u: Velocity, (3,), changed in place; where it turns, its vertical part is left alone [m/s].
+        others: Relative positions of the others in the plane, (≥ count, ≥ 2) [m].
+        count: Number of others.
+        keep_out: Least distance of two agents [m].
+        rules: Numbers of the avoidance, a `CollisionAvoidance`.
+        buffer: Buffer for the centers and half-angles of the sectors, (≥ count, ≥ 2).
+
+    Returns:
+        True where the velocity was changed.
     """
     speed = sqrt(u[0] ** 2 + u[1] ** 2)
     center, half = buffer[:, 0], buffer[:, 1]

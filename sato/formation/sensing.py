@@ -151,7 +151,17 @@ def track_nearby(
     velocity: Float[Array, "agents 2"],
     nearby: Nearby,
 ) -> Float[Array, "pairs 4"]:
-    """Return relative positions and velocities of those within range, tracked in place [m, m/s]."""
+    """Track those within range, by positions that each agent measures in its own frame.
+
+    Args:
+        state: State, whose tracks are changed in place.
+        swarm: Constants.
+        velocity: Each agent's own velocity, in its own frame [m/s].
+        nearby: Those within range.
+
+    Returns:
+        Relative positions and velocities of those within range [m, m/s].
+    """
     i, j, _, measured = nearby
     (on_position, on_velocity), h = swarm.track_gains, swarm.mission.step
     track = np.asarray(state.tracks[i, j])

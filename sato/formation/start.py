@@ -32,7 +32,17 @@ AnyStart = RandomStart | AnyShape
 def draw_start(
     start: AnyStart, agents: int, keep_out: float, rng: np.random.Generator
 ) -> Float[Array, "agents 3"]:
-    """Return the initial position of every agent [m]; refuse a start where two are too close."""
+    """Return the initial position of every agent [m].
+
+    Args:
+        start: Random start, points or shape.
+        agents: Number of agents.
+        keep_out: Least distance of two of them in the plane [m].
+        rng: Generator for a random start.
+
+    Raises:
+        InputError: There is no such start, or two agents are too close in it.
+    """
     if isinstance(start, RandomStart):
         check_drawn_separation(start.separation, keep_out)
         with errors_in("box_m"):

@@ -21,9 +21,19 @@ DEFAULT_NAME = "player.html"  # in the folder of a run
 
 @checked
 def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -> Path:
-    """Write a run, of these attributes, as one HTML file, which a browser plays without a network.
+    """Write a run as one HTML file, which plays it in a browser without a network.
 
-    The folder of the file is made if it is missing; a file that was there is kept if that fails.
+    Args:
+        scene: Scene of the run.
+        attributes: Attributes of the run.
+        path: File to write; its folder is made if it is missing.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The path is that of a folder.
+        OSError: The file cannot be written; one that was there is kept.
     """
     if path.is_dir():
         raise InputError("", f"{path}: is a folder, and the player is one file")

@@ -32,10 +32,19 @@ def as_processes(
     speed: float = 1.0,
     announce: Callable[[Fleet], object] = lambda fleet: None,
 ) -> System[Any, Any]:
-    """Return a system that flies a mission, not drawn, with a process for each vehicle.
+    """Return a system that flies a mission with a process for each vehicle.
 
-    It refuses a mission that cannot be flown so. The function that announces is called with the
-    processes once all are there; speed is that of free running, in times of the clock.
+    Args:
+        system: System of the mission.
+        mission: Mission, not drawn.
+        seed: Seed with which it is drawn.
+        mode: In lock step, or free running.
+        port: At which the world listens; any that is free by default.
+        speed: Times as fast as by the clock, free running.
+        announce: Called with the processes, once all are there.
+
+    Raises:
+        InputError: The mission cannot be flown so; says what would do.
     """
     if not isinstance(mission, Reconfiguration):
         reason = "flies no vehicles as processes; a reconfiguration would do"

@@ -19,7 +19,15 @@ PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
 
 
 def run_vehicle(port: int, number: int) -> None:
-    """Run the process of one vehicle, until the world is gone; refuse one that is there already."""
+    """Run the process of one vehicle, until the world is gone.
+
+    Args:
+        port: Port at which the world listens.
+        number: Number of the vehicle.
+
+    Raises:
+        InputError: There is no world, or the vehicle is there already.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the world, which ends all others
     connection = Connection(port, number)
     if connection.is_taken:

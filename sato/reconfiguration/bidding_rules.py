@@ -78,7 +78,7 @@ def apply_bidding_rules(
     is_printed: bool = False,
     least: float = MIN_PENALTY,
 ) -> Float[Array, " targets"]:
-    """Apply three rules to the costs of one agent, in row i of the table and of the memory.
+    """Apply three rules to the costs of one agent.
 
     1. A target out of reach costs more than every other that is not. Rounds grow as prices
        over ε, so this penalty is only as large as the agent's range of costs; where an agent
@@ -89,9 +89,17 @@ def apply_bidding_rules(
        sight of the holder returns, loses the next auction, and oscillates between two targets.
     3. A target that the agent holds already is a little cheaper.
 
-    The printed auction has the first alone. An agent knows the others in its component, those near,
-    from learning the diameter, and the largest range of costs among them, and whether one won a
-    target out of reach, from flooding. The least penalty of the other two is `least_penalty`.
+    An agent knows the others in its component from learning the diameter, and the largest
+    range of costs among them, and whether one won a target out of reach, from flooding.
+
+    Args:
+        table: Costs of several agents.
+        memory: Memory of the same agents.
+        i: The row of the agent.
+        is_near: True for the numbers of the agents in its component.
+        firm: Firm penalty on targets out of reach; None where it is not called for.
+        is_printed: Apply the first rule alone: the printed auction has neither of the others.
+        least: Least penalty of the other two, see `least_penalty`.
     """
     bid: Array = table.cost[i].copy()
     is_reachable = table.is_reachable[i]

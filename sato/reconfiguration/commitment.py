@@ -366,10 +366,20 @@ def improve(
 ) -> tuple[Float[Array, "T m"], Float[Array, "pieces 4 d"], int] | None:
     """Change a committed trajectory towards the agent's plan, or to a stop later on it.
 
-    From a neighbor that it is too near to, as noise may have it, the change keeps what it had. The
-    path is that of the committed trajectory, over a horizon in which all have come to rest. The
-    change is given by its controls, control points, and the steps for which these follow the plan;
-    it is None where none is found that is safe.
+    From a neighbor that it is too near to, as noise may have it, the change keeps what it had.
+
+    Args:
+        context: State of the agent, and its solver.
+        agent: Number of the agent.
+        plan: Its plan.
+        horizon: Horizon in which all have come to rest.
+        path: Control points of its committed trajectory.
+        others: Control points of those of its neighbors.
+        clearance: Distance to keep from each [m].
+
+    Returns:
+        Controls, control points, and the steps for which these follow the plan; None where none
+        are found that are safe.
     """
     kept = hull_distance(path - others)[0].min(axis=1)
     clearance = np.minimum(clearance, kept * (1 - ROUNDING))

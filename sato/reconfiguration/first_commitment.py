@@ -273,7 +273,16 @@ def check_stops(
 ) -> None:
     """Refuse states from which vehicles that decide no more do not stop within reach.
 
-    Those without a commitment stop at once. `where` is the key of the states, for the error.
+    Args:
+        mission: A drawn mission.
+        agents: Numbers of the vehicles.
+        state: States of the vehicles.
+        where: Key of the states, for the error.
+        committed: Their commitments; those without a commitment stop at once.
+        instant: Steps since the start of the mission.
+
+    Raises:
+        InputError: One does not; says what would do.
     """
     d, reach = mission.axes, mission.reach_unheard(mission.margin)
     if not mission.is_point_mass or not state[:, d:].any():

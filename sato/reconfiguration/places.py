@@ -26,7 +26,15 @@ def draw_targets(
 ) -> Float[Array, "k n"]:
     """Return the targets of a leg as states, which are reached at a time [s].
 
-    There are as many as the demand, or more. The number of the leg is for errors.
+    Args:
+        mission: Mission.
+        number: Number of the leg, for errors.
+        leg: The leg.
+        demand: Least number of targets.
+        arrival: Time at which they are reached [s].
+
+    Raises:
+        InputError: They cannot be placed, or are too fast.
     """
     where = f"leg.{number}.shape"
     kept = 1 + SEPARATION_TOLERANCE  # times R, by plans
@@ -55,10 +63,19 @@ def draw_joins(
     begin: float,
     rng: np.random.Generator,
 ) -> Leg:
-    """Return a leg with the states at which agents join, numbered from the first.
+    """Return a leg with the states at which agents join.
 
-    The known states are those of agents that may be there when it begins, at that time [s]. The
-    number of the leg is for errors.
+    Args:
+        mission: Mission.
+        number: Number of the leg, for errors.
+        leg: The leg.
+        known: States of agents that may be there when it begins.
+        first: Number of the first agent that joins.
+        begin: Time at which the leg begins [s].
+        rng: Draws starts.
+
+    Raises:
+        InputError: They cannot be placed, are too close to others or too fast.
     """
     drawn: list[tuple[int, Float[Array, "k n"]]] = []  # steps and states
     for i, join in enumerate(leg.joins):
@@ -88,9 +105,19 @@ def draw_start(
     t: float,
     rng: np.random.Generator,
 ) -> Float[Array, "count n"]:
-    """Return the states of agents that start or join at a time t [s].
+    """Return the states of agents that start or join.
 
-    Other agents occupy some positions [m]. `where` is the key of the start, for errors.
+    Args:
+        mission: Mission.
+        where: Key of the start, for errors.
+        start: Start as it is asked for.
+        agents: Numbers of the agents.
+        occupied: Positions of others [m].
+        t: Time [s].
+        rng: Draws starts.
+
+    Raises:
+        InputError: They cannot be placed, are too close to others or too fast.
     """
     axes, count, velocity = mission.axes, len(agents), None
     with errors_in(where):
@@ -124,7 +151,16 @@ def _check_separation(
 ) -> None:
     """Refuse starts or targets that are too near to each other, or to places that are occupied.
 
-    The radii are those at both, and `first` is the number of the first that is placed.
+    Args:
+        mission: The ellipsoid that two keep.
+        placed: Starts or targets [m].
+        occupied: Places of others [m].
+        radii: R of the vehicles at both [m].
+        noun: "agent" or "target", for the error.
+        first: Number of the first one.
+
+    Raises:
+        InputError: Two are too near.
     """
     together = mission.scale_separations(np.concatenate([placed, occupied]))
     pairs = scipy.spatial.cKDTree(together).query_pairs(radii.max(), output_type="ndarray")

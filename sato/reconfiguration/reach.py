@@ -130,7 +130,15 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     """Find the least number of steps in which each vehicle can arrive, without the others.
 
     A search by bisection: with one step less some vehicle cannot, or it takes too long to tell
-    that it can. Where no number is enough, `where` is the key of the steps that is refused.
+    that it can.
+
+    Args:
+        where: Key of the steps, for the error.
+        departure: Vehicles at the start of the leg.
+        targets_after: States to reach after a number of steps.
+
+    Raises:
+        InputError: No number of steps is enough.
     """
     search = _Search(departure, targets_after, AUTOMATIC_TIME)
     longest = _longest(departure, targets_after(1))

@@ -214,8 +214,20 @@ def find_stop(
 ) -> tuple[Float[Array, "T m"], Float[Array, "instants n"], Float[Array, "pieces 4 d"]] | None:
     """Find a stopping trajectory among others, near a wanted state after some steps.
 
-    All have come to rest at the end of the horizon. The half-spaces are chosen about the nominal;
-    others that it meets are passed on the given side. It has controls, states and control points.
+    Args:
+        mission: Limits.
+        horizon: Horizon in which all have come to rest.
+        agent: Number of the agent.
+        start: State of the agent.
+        wanted: Wanted state.
+        wanted_step: Steps after which it is wanted.
+        nominal: Control points about which the half-spaces are chosen.
+        avoided: Others and obstacles.
+        solver: Solver of the program.
+        side: Side on which to pass others that the nominal meets.
+
+    Returns:
+        Controls, states and control points; None where none is found.
     """
     others, clearance, obstacles, rest_steps = avoided
     T = max(horizon.steps - 1 - rest_steps, 1)

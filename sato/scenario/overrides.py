@@ -61,12 +61,21 @@ def write_value(value: Any) -> str:
 
 
 def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
-    """Change a scenario's tables in place; return the key with all its tables.
+    """Change a scenario's tables in place.
 
-    A setting is "table.key=value", or the key and the value. Where only one table has the key, the
-    key alone will do; a list of tables is meant as a whole unless a number picks one of them.
-    The value of a text is TOML, or else the bare text. None takes the key away, as the bare
-    text none does unless it is a value of the key.
+    Args:
+        data: As read from TOML.
+        setting: "table.key=value", or the key and the value. Where only one table has the key,
+            the key alone; a list of tables is meant as a whole unless a number picks one of
+            them. The value of a text is TOML, or else the bare text. None takes the key away, as
+            the bare text none does unless it is a value of the key.
+        definition: Mission of the system, whose keys the tables may have.
+
+    Returns:
+        The key with all its tables, as in "swarm.agents".
+
+    Raises:
+        InputError: There is no such key, or there is one in several tables.
     """
     address, value = _split(setting) if isinstance(setting, str) else setting
     key, plain = address.split(".")[-1], _without_numbers(address)
