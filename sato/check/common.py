@@ -159,7 +159,13 @@ def check_times(log: EventLog, step: float) -> Promise:
     given = np.array([event["time"] for event in log.events], dtype=float)
     errors = np.concatenate([time - step * np.arange(len(time)), given - time[log.instants]])
     text = "s off from the steps, of an instant or an event"
-    return expect_small_error("times", errors, 1e-9 * step, text)
+    promise = expect_small_error("times", errors, 1e-9 * step, text)
+    is_later = np.diff(time) > 0
+    if is_later.all():
+        return promise
+    k = int(np.argmin(is_later))
+    text = f"time does not increase from instant {k} to {k + 1}"
+    return promise._replace(kept=False, tolerance=0.0, message=text)
 
 
 def check_finite(
