@@ -131,7 +131,7 @@ def drop_non_finite(summary: dict[str, Any]) -> dict[str, Any]:
 
 def incomplete_reason(attributes: Mapping[str, Any]) -> str:
     """Describe why a flight was not completed, from its attributes; empty if it was."""
-    if attributes.get("complete", 1):
+    if not np.array_equal(attributes.get("complete", 1), 0):
         return ""
     return f"the flight was not completed ({attributes.get('stopped', 'for an unknown reason')})"
 
