@@ -71,6 +71,7 @@ def listed(folder, text, **given):
         ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
         ("0.0,1.5,2.5\n1.0,3.5,0.5\n", [[0, 1.5, 2.5], [1, 3.5, 0.5]]),
         ("1,0,2\n0,0,2\n", [[1, 0, 2], [0, 0, 2]]),
+        ("0,0,5\n1,0,5\n2,0,5\n", [[0, 0, 5], [1, 0, 5], [2, 0, 5]]),
     ],
 )
 def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
@@ -102,7 +103,7 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("places\nx,y\n0,1\n", 'column "places" is not known'),
         ("x,y\n1_0,2\n", "line 2: not numbers"),
         ("0,1\n1.5,2.5\n", "0,1 may be names or a point; name the columns, x,y, or write 0.0,1.0"),
-        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km'),
+        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km or x_m'),
         ("# in mm\nx,y\n1,2\n", 'a comment has the unit "mm"'),
         ("x [m^-1],y\n1,2\n", "has the unit"),
         ("0,1.5,2.5\n", "first column, 0, 1, …, may number the rows or be x; name the columns"),
