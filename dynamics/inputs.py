@@ -69,7 +69,7 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     """
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
-    wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
+    wanted = {"biuf": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
     if value is None or isinstance(value, str | bytes | bytearray | memoryview | dict | type):
         raise InputError("", f"must be an array of {wanted}, got {format_value(value)}")
     if is_marked(value):
