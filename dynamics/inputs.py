@@ -51,7 +51,8 @@ def as_array(value: Any, ndim: int) -> Array:
     """
     array = read_array(value)
     if array.ndim != ndim or array.size == 0:
-        raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
+        wanted = "that is not empty" if array.ndim == ndim else f"with {ndim} axes"
+        raise InputError("", f"must be an array {wanted}, got shape {array.shape}")
     check_finite(array := array.astype(float))
     array.flags.writeable = False
     return array
