@@ -39,7 +39,7 @@ LIMITS: dict[type, tuple[str, str, Any]] = {
 }
 # Kinds of NumPy that arrays may have, by the first type of their annotation, and what they become.
 ARRAYS: dict[str, tuple[str, Any, str]] = {
-    "bool": ("biu", bool, "True and False"),
+    "bool": ("biuf", bool, "True and False"),
     "int2": ("iu", np.int64, "integers"),
     "complex64": ("iufc", complex, "finite numbers"),
 }

@@ -47,7 +47,8 @@ def as_array(value: Any, ndim: int) -> Array:
     """Convert to a read-only array of finite doubles; an `InputError` refuses anything else."""
     array = read_array(value)
     if array.ndim != ndim or array.size == 0:
-        raise InputError("", f"must be an array with {ndim} axes, got shape {array.shape}")
+        wanted = "that is not empty" if array.ndim == ndim else f"with {ndim} axes"
+        raise InputError("", f"must be an array {wanted}, got shape {array.shape}")
     check_finite(array := array.astype(float))
     array.flags.writeable = False
     return array
@@ -65,7 +66,7 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     """
     if isinstance(value, np.ma.MaskedArray):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
-    wanted = {"biu": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
+    wanted = {"biuf": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
     if value is None or isinstance(value, str | bytes | bytearray | memoryview | dict | type):
         raise InputError("", f"must be an array of {wanted}, got {format_value(value)}")
     if is_marked(value):

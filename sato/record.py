@@ -273,9 +273,9 @@ def check_format(file: Path | str, data: RunData) -> None:
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
-    for name in ("seed", "format"):
-        value = data.attrs.get(name, 1)
-        if not isinstance(value, int | np.integer) or not 0 <= value < 2**64:
+    for name, value in data.attrs.items():
+        is_whole = isinstance(value, int | np.integer) and 0 <= value < 2**64
+        if np.ndim(value) or (name in ("seed", "format") and not is_whole):
             raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")
     version = int(data.attrs.get("format", 1))
     if version != FORMAT:

@@ -5,7 +5,7 @@ import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -318,8 +318,9 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
     try:
         return Run(data, summary, parse(text))
     except ScenarioError as error:
-        if describe_own(text):
-            return Run(data, summary)
+        with suppress(ScenarioError):  # of text that is no TOML
+            if describe_own(text):
+                return Run(data, summary)
         reason = f"the scenario in the file cannot be read: {error}"
         raise record.RunFileError(f"{path}: {reason}") from error
 

@@ -154,6 +154,23 @@ def test_a_jacobian_is_that_of_the_rate():
     assert sato.run(mission(model=Friction())).summary["reached"]
 
 
+class Terrain(Friction):
+    """A slope that changes at every meter, as by a table, where the starts may be."""
+
+    def rate(self, t, x, u):
+        force = np.interp(x[..., :1], np.arange(-5, 99), 0.001 * np.arange(104) ** 2)
+        return super().rate(t, x, u) + force * [0, 0, 1, 0]
+
+    def jacobian(self, t, x, u):
+        A, B = super().jacobian(t, x, u)
+        A[..., 2, 0] += 0.001 * (2 * np.floor(x[..., 0] + 5) + 1)
+        return A, B
+
+
+def test_a_jacobian_is_tried_where_no_table_has_a_row():
+    assert mission(model=Terrain()).draw(np.random.default_rng(0))
+
+
 @pytest.mark.parametrize(("i", "j"), [(2, 2), (3, 2), (2, 0), (3, 5)])
 def test_a_jacobian_that_is_not_that_of_the_rate_is_refused(i, j):
     wrong = np.zeros((4, 6))

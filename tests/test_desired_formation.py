@@ -95,6 +95,7 @@ def test_a_disconnected_part_is_named_and_long_lists_are_cut(rng):
 def test_lists_and_integers_are_the_formation_of_the_same_numbers():
     points = np.round(5 * POINTS)
     formation = DesiredFormation(points.astype(int).tolist(), FULL.astype(int).tolist())
+    assert np.array_equal(DesiredFormation(points, FULL.astype(float)).graph, FULL)
     assert np.array_equal(formation.points, points) and formation.points.dtype == float
     assert np.array_equal(formation.graph, FULL) and formation.graph.dtype == bool
 
@@ -106,7 +107,7 @@ def test_lists_and_integers_are_the_formation_of_the_same_numbers():
         (POINTS + 1j, FULL, "points: .*complex128"),
         (np.ma.masked_array(POINTS), FULL, "points: must not be a masked array"),
         ([[0, 0, 0], [1, 1]], FULL, "points: must have rows of one length"),
-        (POINTS, FULL * 0.5, "graph: must be an array of booleans"),
+        (POINTS, FULL * 0.5, "graph: must be an array of True and False"),
         (POINTS, FULL * 2, "graph: must be an array of True and False"),
         (POINTS, None, "graph: must be an array of True and False"),
     ],

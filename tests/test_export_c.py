@@ -211,8 +211,8 @@ def test_command_writes_a_folder_with_a_readme(tmp_path):
         (["--scenario", "nowhere"], 'there is no scenario "nowhere"'),
         (["--scenario", "changing.toml"], "its model changes with time or with the trajectory"),
         (["--scenario", "formation"], "solve no transfer"),
-        (["--steps", "1"], "greater than or equal to 2"),
-        (["--neighbors", "0"], "greater than or equal to 1"),
+        (["--steps", "1"], "must be at least 2"),
+        (["--neighbors", "0"], "must be at least 1"),
     ],
 )
 def test_refused_export_leaves_no_files(tmp_path, monkeypatch, args, message):

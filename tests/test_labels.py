@@ -71,6 +71,7 @@ def listed(folder, text, **given):
         ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
         ("0.0,1.5,2.5\n1.0,3.5,0.5\n", [[0, 1.5, 2.5], [1, 3.5, 0.5]]),
         ("1,0,2\n0,0,2\n", [[1, 0, 2], [0, 0, 2]]),
+        ("0,0,5\n1,0,5\n2,0,5\n", [[0, 0, 5], [1, 0, 5], [2, 0, 5]]),
     ],
 )
 def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
@@ -102,7 +103,7 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("places\nx,y\n0,1\n", 'column "places" is not known'),
         ("x,y\n1_0,2\n", "line 2: not numbers"),
         ("0,1\n1.5,2.5\n", "0,1 may be names or a point; name the columns, x,y, or write 0.0,1.0"),
-        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km'),
+        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km or x_m'),
         ("# in mm\nx,y\n1,2\n", 'a comment has the unit "mm"'),
         ("x [m^-1],y\n1,2\n", "has the unit"),
         ("0,1.5,2.5\n", "first column, 0, 1, …, may number the rows or be x; name the columns"),
@@ -150,17 +151,16 @@ def test_recorded_sticks_and_graphs_are_read_by_their_names(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "edges"),
-    [("0,1\n1,2\n2,0\n", 3), ("0,1\n2,1\n0,1\n0,2\n", 3), ("i,j\n2,1\n0,2\n", 2)],
+    [
+        ("0,1\n1,2\n2,0\n", 3),
+        ("0,1\n2,1\n0,1\n0,2\n", 3),
+        ("i,j\n2,1\n0,2\n", 2),
+        ("0,1\n2,1\n", 2),
+    ],
 )
-def test_a_first_line_of_a_graph_is_an_edge_where_it_is_in_order(tmp_path, text, edges):
+def test_a_first_line_of_a_graph_is_an_edge_where_it_has_numbers(tmp_path, text, edges):
     (file := tmp_path / "graph.csv").write_text(text)
     assert read_graph(file, 3).sum() == 2 * edges
-
-
-def test_a_first_line_that_may_be_the_columns_of_a_graph_is_refused(tmp_path):
-    pd.DataFrame([[2, 1], [0, 2]]).to_csv(tmp_path / "graph.csv", index=False)
-    with pytest.raises(ValueError, match="0,1 may be names of the columns or an edge; name the"):
-        read_graph(tmp_path / "graph.csv", 3)
 
 
 # Quantities.
@@ -254,6 +254,7 @@ def test_tables_are_read_by_their_names(table):
     [
         (pd.DataFrame(SQUARE, columns=["n", "e"]), 'column "n" is of other axes'),
         (pd.DataFrame(SQUARE).iloc[[2, 0, 1]], "index out of order"),
+        (pd.DataFrame(SQUARE, [f"agent{i}" for i in (1, 0, 2, 3)], ["x", "y"]), "out of order"),
         (pd.DataFrame(SQUARE, columns=["x", "y"]).astype(str), 'column "x" must be'),
         (pd.DataFrame({"x": [1, pd.NaT], "y": [1, 2]}), 'column "x" must be'),
         (xr.DataArray(SQUARE, dims=("a", "b")), "has dimensions a and b"),

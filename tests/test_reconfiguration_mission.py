@@ -224,7 +224,7 @@ def test_integers_are_numbers_and_later_changes_of_an_array_do_not_count():
     [
         (START[0], "must be an array with 2 axes, got shape (2,)"),
         (START[None], "must be an array with 2 axes, got shape (1, 3, 2)"),
-        (START[:0], "must be an array with 2 axes, got shape (0, 2)"),
+        (START[:0], "must be an array that is not empty, got shape (0, 2)"),
         (np.ones((3, 5)), "or of 4 or 6 with velocities, got shape (3, 5)"),
         ([[0.0, 0.0], [1.5]], "must have rows of one length"),
         (masked_array(START, START > 2), "must not be a masked array"),

@@ -258,6 +258,22 @@ def test_other_files_are_refused_by_name(tmp_path):
         load(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("scenario", "[swarm", "the scenario in the file cannot be read: .* is not TOML"),
+        ("complete", [1.0, 2.0], "is damaged, for its complete is array"),
+        ("peak_memory_mib", [1.0, 2.0], "is damaged, for its peak_memory_mib is array"),
+    ],
+)
+def test_damaged_attributes_are_refused_in_one_sentence(run, tmp_path, name, value, reason):
+    given = np.array(value) if isinstance(value, list) else value
+    data = replace(run.recorded, attrs=run.recorded.attrs | {name: given}).seal()
+    (tmp_path / "run.nc").write_bytes(data.to_netcdf())
+    with pytest.raises(RunFileError, match=reason):
+        load(tmp_path)
+
+
 def test_damaged_summary_is_refused_and_missing_one_is_not(run, tmp_path):
     run.save(tmp_path)
     (tmp_path / "summary.json").write_text("{")

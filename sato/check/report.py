@@ -90,7 +90,8 @@ def expect_apart(
     error: float = 0.0, name: str = "separation", unit: str = "m", text: str = "",
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
-    is_kept, known = bool(distance - error >= allowed), f" (known to {error:.1g})" * (error > 0)
+    is_kept = bool(distance - error >= allowed)
+    known = f" (known to {error:.1g})" * (error > 1e-9 * distance)  # else by rounding
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
     message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"

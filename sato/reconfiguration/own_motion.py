@@ -21,6 +21,7 @@ from sato.scenario.errors import InputError, round_down
 
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
 DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
+OFF_START = 1.37e-3  # as DIFFERENCE, from the starts to where a Jacobian is tried
 SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
 MAX_TRIED = 8  # agents from whose states a Jacobian is tried
 LEAST_REACH = 1e-9  # of the direction that controls move least, over that they move most
@@ -115,9 +116,10 @@ def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
 def _check_jacobian(model: NonlinearModel, x: Any, step: float) -> None:
     """Compare a Jacobian with central differences, block by block of position and velocity."""
     count, d, name = len(x), model.axes, type(model).__name__
-    # Not at rest, where friction, say, has no effect.
-    motion = np.random.default_rng(0).normal(0, [0.0] * d + [0.1] * 2 * d)
-    points = np.hstack([x, np.zeros((count, d))]) + motion
+    # Not at rest, where friction, say, has no effect, nor on a kink, as a row of a table may be.
+    points = np.hstack([x, np.zeros((count, d))])
+    points[:, :d] += OFF_START * np.maximum(np.abs(x[:, :d]), 1.0)
+    points[:, d:] += np.random.default_rng(0).normal(0, 0.1, 2 * d)
     times, sizes = step * np.arange(count), np.maximum(np.abs(points), 1.0)
 
     def differentiate(h: float) -> Any:

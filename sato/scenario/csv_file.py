@@ -70,7 +70,8 @@ def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> Non
     if others and first == list(map(str, range(len(first)))) and all("." in c for c in others):
         cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
         raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
-    if header == "x,y,z" and [cells[0] for cells in rows] == numbered:
+    are_distinct = len({tuple(cells[1:]) for cells in rows}) == len(rows)  # as points x,y
+    if header == "x,y,z" and are_distinct and [cells[0] for cells in rows] == numbered:
         cure = "name the columns, id,x,y or x,y,z"
         raise ValueError(f"{path}: the first column, 0, 1, …, may number the rows or be x; {cure}")
 
@@ -121,7 +122,7 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
             names = names or noted
             unit = OTHER_LENGTH.search(note)
             if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
-                cure = f"numbers without a unit are meters; name columns as in x_{unit[0]}"
+                cure = f"numbers without a unit are meters; name columns as in x_{unit[0]} or x_m"
                 raise InputError("", f'a comment has the unit "{unit[0]}", and {cure}')
         return names, _with_points(rows)
     except InputError as error:

@@ -127,8 +127,7 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
     """Read the edges of a graph from a CSV file: two vertices a line, numbered from 0.
 
     Neither the order of the two matters nor an edge that is repeated. A first line may name the
-    two columns, vertex,neighbor or i,j. Without it, a first line 0,1 is an edge where the lines
-    are sorted, and refused elsewhere. The count is that of vertices.
+    two columns, vertex,neighbor or i,j; a first line 0,1 is an edge. The count is that of vertices.
     """
     edges = []
     names, rows = read_rows(Path(path), "pairs of vertices", {})
@@ -153,11 +152,6 @@ def read_graph(path: str | Path, count: int) -> Bool[Array, "count count"]:
         if i == j:
             raise ValueError(f"{where}: vertex {i} cannot be its own neighbor; drop the line")
         edges.append((i, j))
-    _, *others = edges
-    is_doubtful = names is None and edges[0] == (0, 1) and others != sorted(others)
-    if is_doubtful and not {(0, 1), (1, 0)} & {*others}:
-        cure = "name the columns, vertex,neighbor, or sort the lines"
-        raise ValueError(f"{path}: 0,1 may be names of the columns or an edge; {cure}")
     return graph_from_edges(count, np.array(edges, dtype=int).reshape(-1, 2))
 
 
