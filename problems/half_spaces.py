@@ -47,8 +47,9 @@ class HalfSpaces(NamedTuple):
         """Express the left-hand sides in CVXPY variables."""
         import cvxpy as cp
 
-        if self.step_index.max(initial=-1) >= u.shape[0]:
-            raise InputError("u", f"must have more than {self.step_index.max()} steps")
+        for name, value in (("x", x), ("u", u)):
+            if self.step_index.max(initial=-1) >= value.shape[0]:
+                raise InputError(name, f"must have more than {self.step_index.max()} rows")
         on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 

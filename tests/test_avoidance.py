@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
+from dynamics.errors import InputError
 from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
 from problems.half_spaces import HalfSpaces, empty_half_spaces
@@ -42,6 +43,13 @@ def ends(steps):
     x, g = np.zeros(2 * steps.axes), np.zeros(2 * steps.axes)
     g[:2] = 3.0, 0.5
     return x, g
+
+
+@pytest.mark.parametrize(("x", "u", "key"), [(0, 4, "x"), (4, 0, "u"), (3, 4, "x")])
+def test_half_spaces_need_a_state_and_a_control_for_each_of_their_steps(x, u, key):
+    spaces = HalfSpaces(np.arange(4), np.ones((4, 4)), np.ones((4, 2)), np.zeros(4))
+    with pytest.raises(InputError, match=f"{key}: must have more than 3 rows"):
+        spaces.to_cvxpy(np.ones((x, 4)), np.ones((u, 2)))
 
 
 def test_without_half_spaces_the_solution_is_the_plain_transfer(rng):
