@@ -37,6 +37,8 @@ MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
+_MEASURED = ("wall_s", "peak_memory_mib")
+_SINGLE_ATTRIBUTES = (*_REQUIRED_ATTRIBUTES, *_MEASURED, "format", "complete", "stopped")
 DTYPES = {float: float, Float: float, bool: bool, Bool: bool, int: int, Int: int}
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
@@ -160,7 +162,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
     """Begin the summary of a run, with what no check gives."""
     summary = {"system": attributes["system"], "scenario": attributes["name"]}
-    for name in ("seed", "version", "wall_s", "peak_memory_mib", "stopped"):
+    for name in ("seed", "version", *_MEASURED, "stopped"):
         if name in attributes:
             value = attributes[name]
             summary[name] = value.item() if isinstance(value, np.generic) else value
@@ -273,7 +275,8 @@ def check_format(file: Path | str, data: RunData) -> None:
     lacking = [name for name in ("time", "position", "event") if name not in data]
     lacking += [name for name in _REQUIRED_ATTRIBUTES if name not in data.attrs]
     _raise_if_missing(file, lacking)
-    for name, value in data.attrs.items():
+    for name in filter(data.attrs.__contains__, _SINGLE_ATTRIBUTES):
+        value = data.attrs[name]
         is_whole = isinstance(value, int | np.integer) and 0 <= value < 2**64
         if np.ndim(value) or (name in ("seed", "format") and not is_whole):
             raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")

@@ -91,7 +91,7 @@ def expect_apart(
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept = bool(distance - error >= allowed)
-    known = f" (known to {error:.1g})" * (error > 1e-9 * distance)  # else by rounding
+    known = f" (known to {error:.1g})" * (error > 1e-12 * distance)  # else by rounding
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
     message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"
