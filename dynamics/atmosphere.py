@@ -51,8 +51,8 @@ class Atmosphere:
         """Check that densities are finite."""
         if abs(self.reference_altitude) > MAX_HEIGHTS * self.scale_height:
             wanted = f"at most {MAX_HEIGHTS} scale_height of {self.scale_height} m"
-            found = f"got {self.reference_altitude} m"
-            raise ValueError(f"reference_altitude must be {wanted}, {found}")
+            got = f"got {self.reference_altitude} m"
+            raise ValueError(f"reference_altitude must be {wanted}, {got}")
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":
@@ -60,8 +60,8 @@ class Atmosphere:
         below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:
             reason = f"the table begins at {DENSITY_TABLE[0][0]} km, and no spacecraft can stay"
-            found = f"got {altitude / 1e3:.4g} km; altitudes are in meters"
-            raise ValueError(f"altitude: {reason} in orbit below, {found}")
+            got = f"got {altitude / 1e3:.4g} km; altitudes are in meters"
+            raise ValueError(f"altitude: {reason} in orbit below, {got}")
         height, density, scale = below[-1]
         return cls(density, height * 1e3, scale * 1e3)
 

@@ -182,16 +182,22 @@ def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:
     if index.nlevels > 1 or (is_frame and index.dtype.kind == "M"):
         raise InputError("", "has an index of times, or of several levels; reset_index() has none")
     is_named = is_frame and index.name is not None
-    endings = [re.search(r"\d+$", str(label)) for label in index]  # agent0, agent1, …
-    numbers = [int(ending[0]) for ending in endings if ending]
-    is_sorted = len(numbers) < len(index) or numbers == sorted(numbers)
-    if not (is_named or (is_sorted if _is_text(index) else index.is_monotonic_increasing)):
+    if not (is_named or _is_in_order(index)):
         raise InputError("", "has an index out of order; sort_index() or reset_index() would do")
     names = list(value.columns) if is_frame else [0]
     columns = [value.iloc[:, i] for i in range(len(names))] if is_frame else [value]
     if names == list(range(len(names))) and not is_named:
         return None
     return ([index.name, *names], [index, *columns]) if is_named else (names, columns)
+
+
+def _is_in_order(index: Any) -> bool:
+    """Return True for increasing numbers, and for texts that do not end in numbers out of order."""
+    if not _is_text(index):
+        return bool(index.is_monotonic_increasing)
+    endings = [re.search(r"\d+$", str(label)) for label in index]  # agent0, agent1, …
+    numbers = [int(ending[0]) for ending in endings if ending]
+    return len(numbers) < len(index) or numbers == sorted(numbers)
 
 
 def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
