@@ -108,14 +108,15 @@ class DiscreteModel:
         """Return the states from x on, of one agent or of many, with the same matrices or own."""
         if u.shape[-2] > len(self):
             raise InputError("u", f"must have {len(self)} steps at most, got {u.shape[-2]}")
-        A, B, z = (np.moveaxis(part, self.A.ndim - 3, 0) for part in (self.A, self.B, self.z))
-        lead = np.broadcast_shapes(A.shape[1:-2], x.shape[:-1], u.shape[:-2])
-        states = [np.broadcast_to(x, (*lead, x.shape[-1]))]
-        for k, held in enumerate(np.moveaxis(u, -2, 0)):
-            if A.ndim == 3:
-                states.append(states[-1] @ A[k].T + held @ B[k].T + z[k])
-            else:
-                states.append(_matvec(A[k], states[-1]) + (_matvec(B[k], held) + z[k]))
+        count, states = u.shape[-2], [x]
+        if self.B.ndim == 3:
+            for k, held in enumerate(np.moveaxis(u, -2, 0)):
+                states.append(states[-1] @ self.A[k].T + held @ self.B[k].T + self.z[k])
+        else:
+            push = _matvec(self.B[..., :count, :, :], u) + self.z[..., :count, :]
+            for k in range(count):
+                states.append(_matvec(self.A[..., k, :, :], states[-1]) + push[..., k, :])
+        states[0] = np.broadcast_to(x, states[-1].shape)
         return np.stack(states, axis=-2)
 
     def coast_to_end(

@@ -62,13 +62,13 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
     def enter(*args: Any, **kwargs: Any) -> Any:
         frame = sys._getframe(1)
         caller = frame.f_globals.get("__name__") or ""
-        # `super()` of a user's own method is called by these packages, which check the result.
-        is_super = is_method and frame.f_code.co_name == function.__name__
-        is_passed = caller == "dataclasses" or (is_super and not caller.startswith(INSIDE))
-        if is_passed and frame.f_back is not None:  # by `replace`, or by the user's method
-            caller = frame.f_back.f_globals.get("__name__") or ""
         if caller.startswith(INSIDE):
             return function(*args, **kwargs)
+        # `super()` of a user's own method is called by these packages, which check the result.
+        is_super = is_method and frame.f_code.co_name == function.__name__
+        if (is_super or caller == "dataclasses") and frame.f_back is not None:  # or by `replace`
+            if (frame.f_back.f_globals.get("__name__") or "").startswith(INSIDE):
+                return function(*args, **kwargs)
         try:
             given = _signature(function).bind(*args, **kwargs)
         except TypeError:

@@ -3,6 +3,7 @@
 import sys
 import warnings
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ import losses
 SAFE = ["swarm.agents=6", "plan.passive_safety_m=50", "plan.passive_safety_min=100"]
 
 
+@cache
 def fly(scenario="orbit", seed=2, *changes):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -31,6 +33,16 @@ def fly(scenario="orbit", seed=2, *changes):
 @pytest.fixture(scope="module")
 def safe():
     return fly()
+
+
+@pytest.fixture(scope="module")
+def safe_samples(safe):
+    return sample_drifts(safe)
+
+
+@pytest.fixture(scope="module")
+def unsafe_samples(unsafe):
+    return sample_drifts(unsafe)
 
 
 @pytest.fixture(scope="module")
@@ -71,22 +83,22 @@ def read(run):
     return ReconfigurationRecord.from_data(run.recorded, run.drawn_mission)
 
 
-def test_all_drifts_after_a_thrust_keep_the_distance(safe):
-    least = sample_drifts(safe)
+def test_all_drifts_after_a_thrust_keep_the_distance(safe, safe_samples):
+    least = safe_samples
     thrusts = np.abs(safe.data.applied_control.values[:-1]).max(axis=2) > 1e-8
     after = np.vstack([np.zeros_like(thrusts[:1]), np.logical_or.accumulate(thrusts)[:-1]])
     assert after.sum() > 100 and (least[after] >= 50.0).all()
     assert safe.summary["reached"] and safe.check().kept
 
 
-def test_without_passive_safety_drifts_come_nearer(unsafe):
-    assert sample_drifts(unsafe)[1:].min() < 20.0
+def test_without_passive_safety_drifts_come_nearer(unsafe_samples):
+    assert unsafe_samples[1:].min() < 20.0
 
 
-def test_least_distance_of_drifts_is_that_of_samples(safe, unsafe):
-    for run in (safe, unsafe):
+def test_least_distance_of_drifts_is_that_of_samples(safe, unsafe, safe_samples, unsafe_samples):
+    for run, samples in ((safe, safe_samples), (unsafe, unsafe_samples)):
         found = find_drift_approaches(read(run)).nearest
-        sampled = sample_drifts(run)[found.step, found.agent]
+        sampled = samples[found.step, found.agent]
         # Two pass each other by up to 10 m/s between samples.
         assert found.distance <= sampled <= np.hypot(found.distance, 120.0)
 
