@@ -72,7 +72,7 @@ def test_least_steps_of_many_in_motion_keep_the_speed_limit(assignment):
 
 
 def test_far_given_targets_of_many_in_motion_have_automatic_steps():
-    angle = 2 * np.pi * np.arange(200) / 200
+    angle = 2 * np.pi * np.arange(120) / 120
     unit = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     leg = Leg(60 * unit + [60.0, 0.0], "auto", time_factor=1.0)
     changes = LIMITS | {"comm_radius": 400.0, "max_control": 0.1}

@@ -44,7 +44,7 @@ def test_vehicles_never_come_closer_than_their_distance(monkeypatch, keeps_plans
     if not keeps_plans:
         monkeypatch.setattr(sato.Reconfiguration, "keeps_plans", False)
     cautious = solves = 0
-    for seed in range(40):
+    for seed in range(30):
         mission = random_mission(np.random.default_rng([19, seed]))
         frames = begin(mission, 30)
         assert continuous_separation(mission, frames) >= 1 - 1e-9, seed

@@ -89,7 +89,7 @@ def news(agents):
 
 
 @pytest.mark.parametrize("ids", [True, False])
-@settings(LAW, max_examples=150)
+@settings(LAW, max_examples=100)
 @given(case=cases())
 def test_kernel_equals_the_definition_bit_for_bit(ids, case):
     if not case.graph.alive.any():
