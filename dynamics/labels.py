@@ -207,16 +207,18 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
         raise InputError("", f'has labels of "{repeated[0]}" that are repeated')
     value = value.sortby(numbered) if numbered else value
     is_dataset = isinstance(value, Mapping)
-    if len(value.dims) != 2 and not is_dataset:
+    if len(value.dims) < 2 and not is_dataset:
         return value
     axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
     axes = axes or [dim for dim in value.dims if _is_text(value[dim]) and not is_dataset]
     is_plain = all(str(dim).startswith("dim_") for dim in value.dims)
     rows = [str(dim) for dim in value.dims if dim not in axes]
-    is_known = len(axes) + is_dataset == 1 and all(map(rows_known.fullmatch, rows))
+    is_known = len(axes) + is_dataset == len(rows) == 1 and all(map(rows_known.fullmatch, rows))
     if not (is_known or is_plain):
         dims = join_names(map(str, value.dims), "and")
         cure = '"agent" or "row"' if is_dataset else '"agent" or "row", and "axis",'
+        if len(value.dims) > 2:
+            cure = "its values in the order of this library"
         raise InputError("", f"has dimensions {dims}; {cure} would do")
     return value.transpose(..., *axes)
 

@@ -258,6 +258,7 @@ def test_tables_are_read_by_their_names(table):
         (pd.DataFrame(SQUARE, columns=["x", "y"]).astype(str), 'column "x" must be'),
         (pd.DataFrame({"x": [1, pd.NaT], "y": [1, 2]}), 'column "x" must be'),
         (xr.DataArray(SQUARE, dims=("a", "b")), "has dimensions a and b"),
+        (xr.DataArray(SQUARE[None], dims=("time", "agent", "axis")), "values in the order of this"),
         (xr.DataArray(SQUARE, dims=("time", "axis")), 'dimensions time and axis; "agent" or "row"'),
         (xr.DataArray(SQUARE, [("time", range(4)), ("axis", ["x", "y"])]), "dimensions time and"),
         (xr.Dataset({"x": ("time", SQUARE[:, 0]), "y": ("time", SQUARE[:, 1])}), "dimensions time"),

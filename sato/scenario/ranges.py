@@ -22,7 +22,7 @@ def check_memory(agents: int, demand: Callable[[int], float]) -> None:
     fits = bisect_right(range(1, agents), limit, key=demand)
     reason = f"{agents} take about {demand(agents) / 1e9:,.0f} GB of memory in a mission this long"
     shorter = "fewer steps or targets, or a shorter flight, would do"
-    cure = f"{fits} would do" if fits > 1 else shorter
+    cure = f"{fits} would do, or fewer steps" if fits > 1 else shorter
     raise InputError("swarm.agents", f"{reason}, and there are {limit / 1e9:,.0f} GB; {cure}")
 
 
