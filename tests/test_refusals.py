@@ -11,6 +11,8 @@ import pytest
 import sato
 import sato.scenario.ranges
 from problems.conic import Infeasible, Unsolved
+from sato.reconfiguration import reach
+from sato.reconfiguration.departure import depart_leg
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import check_memory
 
@@ -139,6 +141,14 @@ def test_a_limit_that_a_model_needs_is_not_cut():
 
     assert draw(0.2).max_control == 0.2
     assert 1.0 < draw(1e9).max_control < 1e3
+
+
+def test_a_search_for_the_time_does_not_follow_an_orbit_for_long():
+    mission = sato.read("orbit", ["swarm.agents=2"]).draw(np.random.default_rng(0))
+    asked, find_targets = list[int](), lambda steps: asked.append(steps) or mission.legs[0].targets
+    departure = depart_leg(mission, 0)
+    assert not reach._Search(departure, find_targets, 1.5).is_enough(10**6) and asked == []
+    assert reach._Search(departure, find_targets, 1.5).is_enough(24) and asked
 
 
 @pytest.mark.parametrize(
