@@ -117,7 +117,7 @@ def _find_event_faults(
 ) -> Iterator[str]:
     for number, text in enumerate(data["event"]):
         event = None
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             event = json.loads(str(text))
         if not isinstance(event, dict) or not isinstance(event.get("kind"), str):
             yield f"event {number} is no table with a kind"

@@ -211,3 +211,15 @@ def test_refusal_asks_for_no_long_program_that_speed_limits_make_slow(norm, monk
     with pytest.raises(InputError, match=r"leg\.0\.steps: agent 0 can reach none of its targets"):
         mission.draw(np.random.default_rng(0))
     assert max(solved, default=0) < 250
+
+
+@pytest.mark.parametrize(
+    ("errors", "message"),
+    [
+        (np.full((3, 3), np.nan), r"yaw_error_rad: must be finite, got nan at \[0, 0\]$"),
+        ([0.1, 0.2, 0.3], r"yaw_error_rad: must be an array with 2 axes, got shape \(3,\)$"),
+    ],
+)
+def test_a_list_where_a_number_would_do_too_is_refused_as_a_list(errors, message):
+    with pytest.raises(sato.InputError, match=message):
+        sato.Connectivity(agents=3, yaw_error=errors)
