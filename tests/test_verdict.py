@@ -24,6 +24,7 @@ from sato.check.report import (
     expect_small_error,
 )
 from sato.reconfiguration.leg import Leg, Loss
+from sato.record import RunFileError
 from sato.run_data import Variable
 from sato.runs import Run
 from sato.scene import SwarmScene
@@ -323,7 +324,7 @@ def test_clocks_that_the_seed_does_not_give_hide_no_collision():
         ("time", "time is nan at time 3, which no run has"),
     ],
 )
-def test_units_labels_and_numbers_that_no_run_has_break_the_record(collided, name, text):
+def test_units_labels_and_numbers_that_no_run_has_break_the_record(collided, name, text, tmp_path):
     dims, values, attributes = collided.recorded.variables[name]
     values, attributes = np.array(values), dict(attributes)
     match name:
@@ -337,7 +338,10 @@ def test_units_labels_and_numbers_that_no_run_has_break_the_record(collided, nam
             values[3] = np.nan
     variables = collided.recorded.variables | {name: Variable(dims, values, attributes)}
     data = replace(collided.recorded, variables=variables).seal()
-    assert replace(collided, recorded=data).report.line == f"BROKEN: record, {text}"
+    damaged = replace(collided, recorded=data)
+    assert damaged.report.line == f"BROKEN: record, {text}"
+    with pytest.raises(RunFileError, match=f"the record is damaged: {text}"):
+        damaged.export(tmp_path / "table.csv", "csv")
 
 
 def test_a_body_of_which_the_mission_does_not_know_breaks_the_attributes(collided):
