@@ -59,7 +59,7 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
     promises = (
         common.check_complete(record.attributes, unended),
         common.check_attributes(
-            record.attributes, {"center": None, "epoch": None} | collect_attributes(mission)
+            record.attributes, {"center": "", "epoch": ""} | collect_attributes(mission)
         ),
         times,
         check_chief(record),
