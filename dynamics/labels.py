@@ -29,7 +29,9 @@ NAMES = {  # velocities first: "x_dot" is no x in the unit "dot"
     # Pandas writes an index without a name in front, under an empty name.
     ID: rf"(?:(?:{_BODY})[_ .]?)?(?:id|index|idx|number|no)|{_BODY}|unnamed: 0|",
 }
-AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", re.IGNORECASE)
+AXIS_DIMENSION = re.compile(
+    r"ax[ie]s|coord(inate)?s?|components?|xyz?|space|other|neighbor", re.IGNORECASE
+)
 ROW_DIMENSION = re.compile(
     rf"({_BODY}|row|index|id|number|vertex|corner|obstacle)s?|vertices|dim_\d+", re.IGNORECASE
 )
