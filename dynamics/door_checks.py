@@ -9,6 +9,7 @@ import types
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from fractions import Fraction
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -252,9 +253,10 @@ def _check_number(kind: type, numbers: NumberRule) -> Check:
         if isinstance(value, list | tuple | Mapping):  # whose labels name no number
             return None
         number = _as_item(to_plain(value, numbers.unit))
-        if isinstance(number, bool) or not isinstance(number, int if kind is int else int | float):
+        is_kind = isinstance(number, int if kind is int else int | float | Fraction)
+        if isinstance(number, bool) or not is_kind:
             return None
-        if kind is float and isinstance(number, int) and abs(number) > LARGEST:
+        if kind is float and not isinstance(number, float) and abs(number) > LARGEST:
             return None
         number = kind(number)
         if not numbers.admit(number):

@@ -328,6 +328,27 @@ def test_strict_raises_an_exception_as_it_is():
         sato.run(mission(), progress=watch, strict=True)
 
 
+def test_a_plant_that_throws_a_vehicle_ends_the_flight_in_words():
+    class Throw(Wind):
+        def propagate(self, x, u, t, dt, substeps=1):
+            states = super().propagate(x, u, t, dt, substeps)
+            states[1:, 0, 2] += 1e6 * (t == 8)
+            return states
+
+    said = sato.run(mission(plant=Throw())).summary["stopped"]
+    assert said.startswith("agent 0 flies at 1e+06 m/s, over 100 times model.max_speed_m_s")
+
+
+@pytest.mark.parametrize("size", [np.nan, 1e40])
+def test_strict_names_the_callback_of_a_wrong_result(size):
+    class Jump(Wind):
+        def propagate(self, x, u, t, dt, substeps=1):
+            return super().propagate(x, u, t, dt, substeps) * (size if t == 8 else 1)
+
+    with pytest.raises(InputError, match=r"^Jump.propagate\(t=8\): the result must be"):
+        sato.run(mission(plant=Jump()), strict=True)
+
+
 def test_an_interrupt_passes_through_a_callback():
     class Stopped(Wind):
         def propagate(self, x, u, t, dt, substeps=1):

@@ -204,9 +204,10 @@ def _check_source(source: Any) -> Any:
 
 
 def _as_columns(found: Any) -> dict[str, Any]:
+    as_kind(found, Mapping, "a dict of columns")
     try:
-        cells = flatten(as_kind(found, Mapping, "a dict of columns"))
-    except TypeError as error:
+        cells = flatten(found)
+    except Exception as error:  # of objects, numbers without end and lists that hold themselves
         raise InputError("", f"must be a dict of numbers, text and lists: {error}") from error
     if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
         raise InputError("", f"must be at most {MOST_CELLS} columns with printable names")
