@@ -251,6 +251,17 @@ def test_a_model_that_changes_with_time_does_not_say_otherwise():
     assert sato.run(mission(model=type("Own", (Drag,), changing)())).summary["reached"]
 
 
+@pytest.mark.parametrize("name", ["matrices", "rate"])
+def test_methods_of_a_linear_model_are_of_one_motion(name):
+    def changed(self, *given):
+        result = getattr(super(type(model), self), name)(*given)
+        return 1.01 * result if name == "rate" else (0.99 * result[0], *result[1:])
+
+    model = type("Own", (Drag,), {name: changed})()
+    with pytest.raises(InputError, match=r"Own\.\w+ is of another motion than its matrices|Own:"):
+        mission(model=model)
+
+
 def test_results_of_other_types_with_the_right_numbers_are_converted():
     class Listed(Drag):
         def A(self, t):
