@@ -72,16 +72,16 @@ def find_damage(data: RunData, mission: Any | None) -> str:
                 names = "axes" if dim == "axis" else f"{dim}s"
                 return f"the file has {sizes[dim]} {names}, and its scenario {wanted}"
     faults = (_find_fault(data, name, field, sizes) for name, field in fields.items())
-    found = next(filter(None, faults), "")
-    return found or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
+    fault = next(filter(None, faults), "")
+    return fault or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
 
 
 def _list_sizes(mission: Any) -> dict[str, int]:
     is_joined = mission.system == "reconfiguration"  # by agents that are not there at the start
     count = len(mission.alive) if is_joined else mission.agents
-    found = dict.fromkeys(("agent", "other", "point", "neighbor"), count)
-    found |= {"axis": mission.axes if is_joined else 3, "purpose": len(PURPOSES)}
-    return found | {"leg": len(getattr(mission, "legs", ()))}
+    sizes = dict.fromkeys(("agent", "other", "point", "neighbor"), count)
+    sizes |= {"axis": mission.axes if is_joined else 3, "purpose": len(PURPOSES)}
+    return sizes | {"leg": len(getattr(mission, "legs", ()))}
 
 
 def _find_fault(data: RunData, name: str, field: Recorded, sizes: Mapping[str, int]) -> str:

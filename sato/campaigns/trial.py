@@ -203,10 +203,10 @@ def _check_source(source: Any) -> Any:
     return as_kind(source, Mission | Mapping, "a mission, or a dict with its keys")
 
 
-def _as_columns(found: Any) -> dict[str, Any]:
-    as_kind(found, Mapping, "a dict of columns")
+def _as_columns(result: Any) -> dict[str, Any]:
+    as_kind(result, Mapping, "a dict of columns")
     try:
-        cells = flatten(found)
+        cells = flatten(result)
     except Exception as error:  # of objects, numbers without end and lists that hold themselves
         raise InputError("", f"must be a dict of numbers, text and lists: {error}") from error
     if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
