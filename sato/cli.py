@@ -5,12 +5,13 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Exit, Option, Typer, echo
+from typer import Argument, Exit, Option, Typer
 
 import sato
 from sato.cli_campaign import campaign_app
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable, save_somewhere
 from sato.scenario.errors import InputError
+from sato.terminal import echo
 
 GARBAGE_THRESHOLD = 50_000  # new objects after which cycles are looked for; by default 700: +10 %
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-from typer import Argument, Exit, Option, Typer, echo
+from typer import Argument, Exit, Option, Typer
 
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, ensure_writable
+from sato.terminal import echo
 
 campaign_app = Typer(help="Fly many runs, and resume them.", no_args_is_help=True)
 
@@ -198,10 +199,11 @@ def _describe(folder: Path) -> str:
 @contextmanager
 def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
     """Show a live line on a terminal, else a line at every tenth."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    console = Console(stderr=True)
+    from sato.console import TextConsole
+
+    console = TextConsole(stderr=True)
     began, first, tenth = perf_counter(), 0, -1
     text = TextColumn("{task.fields[line]}", markup=False)
     with Progress(BarColumn(), text, console=console, disable=not console.is_terminal) as bar:

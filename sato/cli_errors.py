@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from sato.scenario.errors import InputError, ScenarioError, explain
+from sato.terminal import echo, use_ascii_where_needed
 
 if TYPE_CHECKING:
     from sato.runs import Run
@@ -30,6 +31,7 @@ class CommandGroup(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
+        use_ascii_where_needed()
         try:
             with _interrupts_raised(), warnings.catch_warnings():
                 warnings.showwarning = _print_warning
@@ -46,7 +48,7 @@ class CommandGroup(TyperGroup):
                 raise
             exec("")  # Python ends itself by the signal where one arose in code from a string
             sentence, code = _describe(error)
-            typer.echo(f"sato: {' '.join(sentence.split())}", err=True)
+            echo(f"sato: {' '.join(sentence.split())}", err=True)
             raise typer.Exit(code) from None
 
 
@@ -93,7 +95,7 @@ def save_somewhere(flown: "Run", folder: Path) -> None:
         except OSError:
             rmtree(spare)
             raise error from None
-        typer.echo(f"sato: {_describe(error)[0]}; the run is in {spare}", err=True)
+        echo(f"sato: {_describe(error)[0]}; the run is in {spare}", err=True)
         raise typer.Exit(EXIT_FAILED) from error
 
 
@@ -116,4 +118,4 @@ def _describe(error: BaseException) -> tuple[str, int]:
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     # The line of the program where it arose does not help the author of a scenario.
-    typer.echo(f"warning: {' '.join(str(message).split())}", err=True)
+    echo(f"warning: {' '.join(str(message).split())}", err=True)
