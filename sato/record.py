@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,6 +26,7 @@ from dynamics.doors import check_methods, checked
 from sato.atomic import replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
+from sato.files import read_text
 from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
 from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
@@ -38,7 +40,7 @@ AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 _MEASURED = ("wall_s", "peak_memory_mib")
-_SINGLE_ATTRIBUTES = (*_REQUIRED_ATTRIBUTES, *_MEASURED, "format", "complete", "stopped")
+_SINGLE_ATTRIBUTES = (*_REQUIRED_ATTRIBUTES, *_MEASURED, "format", "complete", "stopped", "digest")
 DTYPES = {float: float, Float: float, bool: bool, Bool: bool, int: int, Int: int}
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
@@ -140,22 +142,24 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     A file of another name than run.nc has no summary beside it, for that may be another run's. A
     `RunFileError` says that it is missing, damaged, or not a run.
     """
-    import h5py
-    import xarray
+    from sato.run_file import read_run_file
 
     file = path / RUN_FILE if path.is_dir() else path
-    if not file.is_file():
+    if not file.exists():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
+    if path.is_dir() and file.is_symlink():
+        raise RunFileError(f"{file}: is a link, and none is followed in the folder of a run")
     try:
-        with h5py.File(file) as opened:  # where this fails, h5netcdf prints a second error
-            dict(opened.attrs)
-        data = RunData.from_xarray(xarray.load_dataset(file, engine="h5netcdf"))
+        data = read_run_file(file)
+    except InputError as error:
+        raise RunFileError(str(error)) from error
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
     check_format(file, data)
     beside = file.with_name(SUMMARY_FILE)
-    found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
+    is_there = file.name == RUN_FILE and beside.is_file() and not beside.is_symlink()
+    found = _read_summary(beside) if is_there else None
     return data, initial_summary(data.attrs) if found is None else found
 
 
@@ -278,7 +282,9 @@ def check_format(file: Path | str, data: RunData) -> None:
     for name in filter(data.attrs.__contains__, _SINGLE_ATTRIBUTES):
         value = data.attrs[name]
         is_whole = isinstance(value, int | np.integer) and 0 <= value < 2**64
-        if np.ndim(value) or (name in ("seed", "format") and not is_whole):
+        is_digest = isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
+        is_wrong = (name in ("seed", "format") and not is_whole) or np.ndim(value)
+        if is_wrong or (name == "digest" and not is_digest):
             raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")
     version = int(data.attrs.get("format", 1))
     if version != FORMAT:
@@ -303,10 +309,10 @@ def _raise_if_missing(file: Path | str, lacking: list[str]) -> None:
 
 def _read_summary(file: Path) -> dict[str, Any]:
     try:
-        summary = json.loads(file.read_text(encoding="utf-8"))
+        summary = json.loads(read_text(file))
         if not isinstance(summary, dict):
             raise ValueError("not a table")
         return summary
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RecursionError) as error:
         text = f"{file}: is not readable JSON; delete it, the run file beside it is enough"
         raise RunFileError(text) from error
