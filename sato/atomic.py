@@ -13,24 +13,25 @@ from pathlib import Path
 def replace_atomically(path: Path) -> Iterator[Path]:
     """Yield a path to write a file or a folder to, and move it into place if all went well.
 
-    Whatever is at the final path is kept until then, and replaced as a whole; where that is a
-    link, what it leads to is. Its folder is made if it is missing. An `OSError` names the final
-    path where nothing can be written.
+    Whatever is at the final path is kept until then, and replaced as a whole; a link is replaced
+    itself, and what it leads to stays. The folder is made if it is missing. An `OSError` names the
+    final path where nothing can be written.
     """
     try:
-        final = Path(os.path.realpath(path))
-        if final.exists() and not (final.is_file() or final.is_dir()):
+        final = Path(os.path.realpath(path.parent), path.name)
+        is_special = final.exists() and not (final.is_file() or final.is_dir())
+        if is_special and not final.is_symlink():
             raise FileExistsError(EEXIST, "is neither a file nor a folder, and stays as it is")
         final.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".saving-", dir=final.parent) as folder:
             new, old = Path(folder, path.name), Path(folder, f".{path.name}")
             yield new
             try:
-                if final.is_dir():  # the system replaces files, but no folders
+                if final.is_dir() or final.is_symlink():  # the system replaces files, but no folders
                     os.rename(final, old)
                 os.replace(new, final)
             except BaseException:
-                if old.exists() and not final.exists():
+                if os.path.lexists(old) and not os.path.lexists(final):
                     os.rename(old, final)
                 raise
             shutil.rmtree(old, ignore_errors=True)

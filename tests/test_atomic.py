@@ -40,12 +40,19 @@ def test_an_interrupted_writer_leaves_nothing_but_what_was_there(tmp_path, error
     assert (tmp_path / "oem" / "a.oem").read_text() == "earlier"
 
 
-def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+@pytest.mark.parametrize("leads", ["run.nc", "gone", "folder", "/dev/null"])
+def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, leads):
     (tmp_path / "run.nc").write_text("earlier")
-    (tmp_path / "link").symlink_to("run.nc")
-    with replace_atomically(tmp_path / "link") as new:
-        new.write_text("whole")
-    assert (tmp_path / "link").is_symlink() and (tmp_path / "run.nc").read_text() == "whole"
+    (tmp_path / "folder").mkdir()
+    for is_folder in (False, True):
+        link = tmp_path / f"link {is_folder}"
+        link.symlink_to(leads)
+        with replace_atomically(link) as new:
+            new.mkdir() if is_folder else new.write_text("whole")
+        assert not link.is_symlink() and link.is_dir() == is_folder
+    assert (tmp_path / "run.nc").read_text() == "earlier"
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == []
+    assert not list(tmp_path.glob(".saving-*")) and not (tmp_path / "gone").exists()
 
 
 def test_what_is_no_file_is_not_replaced(tmp_path):
