@@ -92,14 +92,19 @@ def status(folder: CampaignFolder) -> None:
 
 @campaign_app.command()
 def rerun(
-    folder: CampaignFolder, row: Annotated[int, Argument(metavar="ROW", help="Its number.")]
+    folder: CampaignFolder,
+    row: Annotated[int, Argument(metavar="ROW", help="Its number.")],
+    trust: Annotated[bool, Option("--trust", help="Run the functions that DIR names.")] = False,
+    functions: Annotated[
+        Path | None, Option(metavar="FILE.py", help="Run the functions of this file.")
+    ] = None,
 ) -> None:
     """Fly a row again from itself, into DIR/runs/ROW; exit 1 if its summary differs."""
     from sato.campaigns.engine import fly_again
     from sato.campaigns.table import open_table
 
     with open_table(folder) as table:
-        outcome, differing = fly_again(table, row)
+        outcome, differing = fly_again(table, row, trust, functions)
     echo(f"{outcome['exit']}{': ' if outcome['error'] else ''}{outcome['error'] or ''}")
     if differing:
         echo(f"sato: differs from the row in {', '.join(differing)}", err=True)

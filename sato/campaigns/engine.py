@@ -18,6 +18,7 @@ from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTabl
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
+from sato.scenario.file import find_file
 
 MOST_RUNS = 10**6
 LOCK_FILE = "campaign.lock"
@@ -139,13 +140,18 @@ def fly_campaign(
                 progress(exits, campaign.runs)
 
 
-def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
+def fly_again(
+    table: CampaignTable, number: int, is_trusted: bool = False, functions: Path | None = None
+) -> tuple[Outcome, list[str] | None]:
     """Fly a row again by its number, keep the run, and return the outcome and differing columns.
 
-    There is nothing to compare, and None, where the worker of the row died or was ended.
+    There is nothing to compare, and None, where the worker of the row died or was ended. A table
+    that names functions or files is refused, unless it is trusted, or the functions' file is given.
     """
     row = table.row(number)
+    _check_trusted(table, is_trusted, functions)
     given = table.campaign.trial(number, str(table.folder.resolve()))
+    given = given if functions is None else given._replace(modules=str(functions.resolve().parent))
     given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
     text = table.scenario(row)
     whole = given if text is None else given._replace(source=tomllib.loads(text), parameters={})
@@ -156,6 +162,21 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | N
     names = {name for name, value in row.items() if value is not None} | set(cells)
     differing = {name for name in names if cells.get(name) != row.get(name)}
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
+
+
+def _check_trusted(table: CampaignTable, is_trusted: bool, functions: Path | None) -> None:
+    called, place = table.campaign.functions, table.folder / "runs"
+    if place.is_symlink():
+        raise InputError("", f"{place}: is a link, and none is followed in a campaign")
+    if functions is not None:
+        for name in called:
+            if name.partition(":")[0] != functions.stem or not functions.is_file():
+                raise InputError("--functions", f"{functions} is not the file of {name}")
+    elif called and not is_trusted:
+        reason = f"its runs call {join_names(called, 'and')}, which is code"
+        raise InputError("", f"{table.folder}: {reason}; --trust runs it, or --functions FILE.py")
+    if not is_trusted and (file := find_file(list(table.campaign.scenario))):
+        raise InputError("", f"{table.folder}: its scenario names a file, {file}; --trust reads it")
 
 
 def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:

@@ -170,17 +170,18 @@ def parse(
 def parse_embedded(text: str) -> Mission:
     """Read the scenario in a run file, which must not name files or fonts of this computer."""
     data = load_toml(text, "scenario")
-    if address := _find_file(data):
+    if address := find_file(data):
         raise ScenarioError(f"scenario: {address}: names a file, and that of a run must not")
     return parse(text)
 
 
-def _find_file(value: Any, address: str = "") -> str:
+def find_file(value: Any, address: str = "") -> str:
+    """Find the address of a key of tables or lists that names a file or a font; "" if none does."""
     parts = value.items() if isinstance(value, dict) else enumerate(value)
     for key, part in parts:
         if key in ("file", "font"):
             return f"{address}{key}"
-        if isinstance(part, dict | list) and (found := _find_file(part, f"{address}{key}.")):
+        if isinstance(part, dict | list) and (found := find_file(part, f"{address}{key}.")):
             return found
     return ""
 
