@@ -27,7 +27,7 @@ def replace_atomically(path: Path) -> Iterator[Path]:
             new, old = Path(folder, path.name), Path(folder, f".{path.name}")
             yield new
             try:
-                if final.is_dir() or final.is_symlink():  # the system replaces files, but no folders
+                if final.is_dir() or final.is_symlink():  # which the system does not replace
                     os.rename(final, old)
                 os.replace(new, final)
             except BaseException:

@@ -127,14 +127,14 @@ def run(
 @app.command()
 def vehicle(
     number: Annotated[int, Argument(metavar="NUMBER", min=0, help="Of the vehicle.")],
-    port: Annotated[
-        int, Option(min=1, max=65535, help="Port at which `sato run --processes` listens.")
+    key_file: Annotated[
+        Path, Option(metavar="FILE", help="Key of the flight, which `sato run` names.")
     ],
 ) -> None:
     """Start the process of a vehicle whose own was killed; it joins the flight."""
     from sato.processes.vehicle_process import run_vehicle
 
-    run_vehicle(port, number)
+    run_vehicle(key_file, number)
 
 
 @app.command()

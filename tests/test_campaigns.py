@@ -288,7 +288,9 @@ def test_a_row_is_flown_again_from_itself_alone(tmp_path):
         first, second = table.rows()
         assert first["instants"] > 40 and first["columns_error"] is None
         assert second["instants"] is None and "no such thing" in second["columns_error"]
-        with pytest.raises(InputError, match="campaign_trials:more_columns, which is code; --trust"):
+        with pytest.raises(
+            InputError, match="campaign_trials:more_columns, which is code; --trust"
+        ):
             fly_again(table, 1)
         outcome, differing = fly_again(table, 1, is_trusted=True)
         assert (outcome["exit"], differing) == ("reached", [])
@@ -342,7 +344,10 @@ def test_a_row_of_a_function_beside_the_file_is_computed_again(tmp_path, monkeyp
     text = '[campaign]\nfunction = "beside:solve"\n[grid]\nx = [1, 2]\n'
     (tmp_path / "mine.toml").write_text(text)
     folder = str(tmp_path / "out")
-    for words in (["run", str(tmp_path / "mine.toml"), "--out", folder], ["rerun", folder, "1", "--trust"]):
+    for words in (
+        ["run", str(tmp_path / "mine.toml"), "--out", folder],
+        ["rerun", folder, "1", "--trust"],
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "path", [*sys.path])  # as in a process that has just started
             result = call("campaign", *words)

@@ -16,7 +16,7 @@ PLAIN = re.compile(
 
 
 def check_schema(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a database with views, triggers, computed columns, or other tables than a campaign's."""
+    """Refuse a database with views, triggers, computed columns, or tables of no campaign."""
     known = set()
     for kind, name, sql in connection.execute("SELECT type, name, sql FROM sqlite_master"):
         is_plain = kind == "table" and PLAIN.fullmatch(QUOTED.sub('""', str(sql))) is not None
