@@ -1,12 +1,15 @@
 """Writing of files and folders, one or several together, whole or not at all."""
 
+import fcntl
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from errno import EEXIST, EISDIR
 from pathlib import Path
+
+PREFIX = ".saving-"  # of folders in which files are written
 
 
 @contextmanager
@@ -23,8 +26,8 @@ def replace_atomically(path: Path) -> Iterator[Path]:
         if is_special and not final.is_symlink():
             raise FileExistsError(EEXIST, "is neither a file nor a folder, and stays as it is")
         final.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".saving-", dir=final.parent) as folder:
-            new, old = Path(folder, path.name), Path(folder, f".{path.name}")
+        with _scratch(final.parent) as place:
+            new, old = place / path.name, place / f".{path.name}"
             yield new
             try:
                 if final.is_dir() or final.is_symlink():  # which the system does not replace
@@ -34,7 +37,6 @@ def replace_atomically(path: Path) -> Iterator[Path]:
                 if os.path.lexists(old) and not os.path.lexists(final):
                     os.rename(old, final)
                 raise
-            shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
@@ -50,8 +52,8 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".saving-", dir=folder) as place:
-            new, former = Path(place, "new"), Path(place, "former")
+        with _scratch(folder) as place:
+            new, former = place / "new", place / "former"
             new.mkdir()
             former.mkdir()
             yield new
@@ -75,3 +77,41 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
                 raise
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(folder)) from error
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what writers that were killed have left in a folder, as far as that can be written."""
+    with suppress(OSError), _locked(folder):
+        _remove_unlocked(folder)
+
+
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Path]:
+    """Yield a new folder in a folder, locked as long as its writer lives, which is removed."""
+    with _locked(folder):
+        _remove_unlocked(folder)
+        place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
+        lock = os.open(place, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        yield place
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        os.close(lock)
+
+
+def _remove_unlocked(folder: Path) -> None:
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.is_dir() and not path.is_symlink():
+            with suppress(OSError), _locked(path, fcntl.LOCK_NB):
+                shutil.rmtree(path, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path, option: int = 0) -> Iterator[None]:
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | option)
+        yield
+    finally:
+        os.close(lock)

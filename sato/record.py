@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods, checked
-from sato.atomic import replace_atomically
+from sato.atomic import remove_leftovers, replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
 from sato.files import read_text
@@ -35,6 +35,7 @@ from sato.systems import load_system
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 MAX_FRAMES = 300  # of a film, unless more are asked for
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
+READS = 5  # until a run file and a summary are of one run
 MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
@@ -103,6 +104,7 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     none is ever beside another's.
     """
     plain = json.loads(json.dumps(summary, default=json_default))
+    plain |= {"digest": data.attrs["digest"]} if "digest" in data.attrs else {}
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
     with replace_atomically(folder / RUN_FILE) as file:
         file.write_bytes(data.to_netcdf())
@@ -139,12 +141,26 @@ def _read_ends(path: Path) -> bytes:
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 
-    A file of another name than run.nc has no summary beside it, for that may be another run's. A
-    `RunFileError` says that it is missing, damaged, or not a run.
+    A file of another name than run.nc has no summary beside it, for that may be another run's, and
+    so may be one that is written meanwhile. A `RunFileError` says that it is missing, damaged, or
+    not a run.
     """
+    remove_leftovers(path if path.is_dir() else path.parent)
+    file = path / RUN_FILE if path.is_dir() else path
+    beside = file.with_name(SUMMARY_FILE)
+    for _ in range(READS):
+        data = _read_data(path, file)
+        summary = _read_summary(beside) if file.name == RUN_FILE else None
+        summary = initial_summary(data.attrs) if summary is None else summary
+        digest = data.attrs.get("digest")
+        if summary.pop("digest", digest) == digest:
+            return data, summary
+    return data, initial_summary(data.attrs)
+
+
+def _read_data(path: Path, file: Path) -> RunData:
     from sato.run_file import read_run_file
 
-    file = path / RUN_FILE if path.is_dir() else path
     if not file.exists():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
     if path.is_dir() and file.is_symlink():
@@ -157,10 +173,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
     check_format(file, data)
-    beside = file.with_name(SUMMARY_FILE)
-    is_there = file.name == RUN_FILE and beside.is_file() and not beside.is_symlink()
-    found = _read_summary(beside) if is_there else None
-    return data, initial_summary(data.attrs) if found is None else found
+    return data
 
 
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -307,12 +320,16 @@ def _raise_if_missing(file: Path | str, lacking: list[str]) -> None:
         raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
 
 
-def _read_summary(file: Path) -> dict[str, Any]:
+def _read_summary(file: Path) -> dict[str, Any] | None:
+    if not file.is_file() or file.is_symlink():
+        return None
     try:
         summary = json.loads(read_text(file))
         if not isinstance(summary, dict):
             raise ValueError("not a table")
         return summary
+    except FileNotFoundError:  # taken away meanwhile
+        return None
     except (ValueError, OSError, RecursionError) as error:
         text = f"{file}: is not readable JSON; delete it, the run file beside it is enough"
         raise RunFileError(text) from error

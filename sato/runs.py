@@ -384,10 +384,13 @@ def _collect_frames(
             callback(mission, frame)
             if interrupted.is_set():
                 raise KeyboardInterrupt
-    except endings as error:
-        if not frames:
+    except (Exception, KeyboardInterrupt) as error:
+        if not frames or (is_strict and not isinstance(error, endings)):
             raise
-        return frames, "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+        if isinstance(error, KeyboardInterrupt):
+            return frames, "interrupted"
+        fault = f"a fault of the program: {type(error).__name__}: {error}"
+        return frames, str(error) if isinstance(error, endings) else fault
     finally:
         if is_deferred:
             signal.signal(signal.SIGINT, former)
