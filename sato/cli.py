@@ -26,6 +26,7 @@ app = Typer(
 
 app.add_typer(campaign_app, name="campaign")
 
+OutFolder = Annotated[Path | None, Option("--out", metavar="DIR", help="That of the run.")]
 RunFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a run.")]
 Scenario = Annotated[str, Argument(metavar="NAME|FILE.toml", help="Built-in scenario, or a file.")]
 Word = str | None
@@ -161,24 +162,30 @@ def check(
 
 @app.command()
 def plot(
-    folder: RunFolder, pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False
+    folder: RunFolder,
+    pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False,
+    out: OutFolder = None,
 ) -> None:
-    """Draw the figures of a run into its folder."""
+    """Draw the figures of a run into its folder, or another."""
     from sato.console import progress_bar
 
+    place = out or _run_folder(folder)
+    ensure_writable(place)
     with progress_bar("drawing"):
-        figures = sato.load(folder).plot(_run_folder(folder), pdf=pdf)
+        figures = sato.load(folder).plot(place, pdf=pdf)
     for path in figures:
         echo(str(path))
 
 
 @app.command()
-def animate(folder: RunFolder) -> None:
-    """Animate a run into its folder: MP4, or GIF where ffmpeg is missing."""
+def animate(folder: RunFolder, out: OutFolder = None) -> None:
+    """Animate a run into its folder, or another: MP4, or GIF where ffmpeg is missing or fails."""
     from sato.console import progress_bar
 
+    place = out or _run_folder(folder)
+    ensure_writable(place)
     with progress_bar("animating") as progress:
-        path = sato.load(folder).animate(_run_folder(folder), progress=progress)
+        path = sato.load(folder).animate(place, progress=progress)
     echo(str(path))
 
 
