@@ -9,6 +9,7 @@ import types
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from fractions import Fraction
 from functools import cache
 from os import PathLike
 from pathlib import Path
@@ -61,18 +62,18 @@ class Sizes:
 
     def fit(self, shape: tuple[int, ...], dims: list[str]) -> bool:
         """Tell whether a shape fits dimensions, and if it does, keep the sizes of their names."""
-        found = dict(self.known)
+        sizes = dict(self.known)
         many = next((i for i, dim in enumerate(dims) if _is_many(dim)), None)
         if many is not None:
             end = len(shape) - (len(dims) - many - 1)
-            if end < many or not _fit_many(shape[many:end], dims[many], found):
+            if end < many or not _fit_many(shape[many:end], dims[many], sizes):
                 return False
             shape, dims = shape[:many] + shape[end:], dims[:many] + dims[many + 1 :]
         is_fit = len(shape) == len(dims) and all(
-            _fit_one(size, dim, found) for size, dim in zip(shape, dims, strict=True)
+            _fit_one(size, dim, sizes) for size, dim in zip(shape, dims, strict=True)
         )
         if is_fit:
-            self.known = found
+            self.known = sizes
         return is_fit
 
     def words(self, dims: list[str]) -> str:
@@ -95,25 +96,25 @@ def _parse(dim: str) -> tuple[int, str, int]:
     return int(factor or 1), name, int(offset or 0)
 
 
-def _fit_one(size: int, dim: str, found: dict[str, Any]) -> bool:
+def _fit_one(size: int, dim: str, sizes: dict[str, Any]) -> bool:
     if dim == "_" or (dim[0] == "#" and size == 1):
         return True
     if dim.isdigit():
         return size == int(dim)
     factor, name, offset = _parse(dim)
     value, remainder = divmod(size - offset, factor)
-    return value >= 0 and not remainder and found.setdefault(name, value) == value
+    return value >= 0 and not remainder and sizes.setdefault(name, value) == value
 
 
-def _fit_many(shape: tuple[int, ...], dim: str, found: dict[str, Any]) -> bool:
+def _fit_many(shape: tuple[int, ...], dim: str, sizes: dict[str, Any]) -> bool:
     if dim == "...":
         return True
     name = "*" + dim.lstrip("*#")  # not to be mistaken for the size of one axis
-    known = found.setdefault(name, shape)
+    known = sizes.setdefault(name, shape)
     if "#" not in dim:
         return bool(known == shape)
     try:
-        found[name] = np.broadcast_shapes(known, shape)
+        sizes[name] = np.broadcast_shapes(known, shape)
     except ValueError:
         return False
     return True
@@ -230,9 +231,9 @@ def _simple(wanted: str, convert: Callable[[Any], Any]) -> Check:
     """Make a check of a conversion that returns None for what it does not take."""
 
     def check(value: Any, sizes: Sizes) -> Any:
-        if (found := convert(value)) is None:
+        if (converted := convert(value)) is None:
             raise Wrong(wanted)
-        return found
+        return converted
 
     return check
 
@@ -252,9 +253,10 @@ def _check_number(kind: type, numbers: NumberRule) -> Check:
         if isinstance(value, list | tuple | Mapping):  # whose labels name no number
             return None
         number = _as_item(to_plain(value, numbers.unit))
-        if isinstance(number, bool) or not isinstance(number, int if kind is int else int | float):
+        is_kind = isinstance(number, int if kind is int else int | float | Fraction)
+        if isinstance(number, bool) or not is_kind:
             return None
-        if kind is float and isinstance(number, int) and abs(number) > LARGEST:
+        if kind is float and not isinstance(number, float) and abs(number) > LARGEST:
             return None
         number = kind(number)
         if not numbers.admit(number):

@@ -97,14 +97,14 @@ def _check_call(
     for name, value in list(given.arguments.items())[skipped:]:
         if (check := checks.get(name)) is None or value is parameters[name].default:
             continue
-        many = parameters[name].kind
+        many, entries = parameters[name].kind, given.arguments
         if many is inspect.Parameter.VAR_POSITIONAL:
-            found: Any = tuple(check_entry(name, check, entry, sizes) for entry in value)
+            entries[name] = tuple(check_entry(name, check, entry, sizes) for entry in value)
         elif many is inspect.Parameter.VAR_KEYWORD:
-            found = {key: check_entry(key, check, entry, sizes) for key, entry in value.items()}
+            pairs = value.items()
+            entries[name] = {key: check_entry(key, check, entry, sizes) for key, entry in pairs}
         else:
-            found = check_entry(name, check, value, sizes)
-        given.arguments[name] = found
+            entries[name] = check_entry(name, check, value, sizes)
 
 
 checked(Unit)  # here, since checks are made of units

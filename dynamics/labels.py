@@ -29,7 +29,9 @@ NAMES = {  # velocities first: "x_dot" is no x in the unit "dot"
     # Pandas writes an index without a name in front, under an empty name.
     ID: rf"(?:(?:{_BODY})[_ .]?)?(?:id|index|idx|number|no)|{_BODY}|unnamed: 0|",
 }
-AXIS_DIMENSION = re.compile(r"ax[ie]s|coord(inate)?s?|components?|xyz?|space", re.IGNORECASE)
+AXIS_DIMENSION = re.compile(
+    r"ax[ie]s|coord(inate)?s?|components?|xyz?|space|other|neighbor", re.IGNORECASE
+)
 ROW_DIMENSION = re.compile(
     rf"({_BODY}|row|index|id|number|vertex|corner|obstacle)s?|vertices|dim_\d+", re.IGNORECASE
 )
@@ -47,23 +49,23 @@ def match_columns(names: Sequence[Any], units: Units) -> dict[str, tuple[int, fl
     Positions are x and y, or x, y and z; all coordinates have a velocity, or none.
     The unit of a name is returned in SI units, None where it has none.
     """
-    found: dict[str, tuple[int, float | None]] = {}
+    places: dict[str, tuple[int, float | None]] = {}
     for index, given in enumerate(names):
         meaning, factor = _parse_name(given, index, units)
-        if meaning in found:
-            first = names[found[meaning][0]]
+        if meaning in places:
+            first = names[places[meaning][0]]
             raise InputError("", f'columns "{first}" and "{given}" are the same; drop one')
-        found[meaning] = index, factor
-    axes = AXES[: 3 if {"z", "vz"} & set(found) else 2]
+        places[meaning] = index, factor
+    axes = AXES[: 3 if {"z", "vz"} & set(places) else 2]
     needed = [name for name in units if name == "t"]
     for prefix in ("", "v"):
         columns = [prefix + axis for axis in axes if prefix + axis in units]
         is_optional = prefix == "v" and "x" in units
-        needed += columns if not is_optional or any(name in found for name in columns) else []
-    if absent := [name for name in needed if name not in found]:
+        needed += columns if not is_optional or any(name in places for name in columns) else []
+    if absent := [name for name in needed if name not in places]:
         given = join_names(map(str, names), "and")
         raise InputError("", f'column "{absent[0]}" is missing; there are {given}')
-    return {name: found[name] for name in (ID, *units) if name in found}
+    return {name: places[name] for name in (ID, *units) if name in places}
 
 
 def knows_name(name: str, units: Units) -> bool:

@@ -86,17 +86,18 @@ def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
 
 def _as_stacks(axes: tuple[str, ...], model: Model, given: dict[str, Any], values: Any) -> Any:
     """Convert results at all times, states and controls; several of them may lack these axes."""
-    x, u = (given.get(name, np.zeros(1)) for name in "xu")
     times: Any = given.get("times", given.get("t"))
-    lead, count = np.broadcast_shapes(np.shape(times), x.shape[:-1], u.shape[:-1]), len(axes)
+    lead, count, sizes = np.shape(times), len(axes), model.array_sizes
+    if "x" in given:
+        lead = np.broadcast_shapes(lead, given["x"].shape[:-1], given["u"].shape[:-1])
     if len(as_kind(values, tuple | list, f"{count} arrays")) != count:
         raise InputError("", f"must be {count} arrays, got {len(values)}")
-    shapes = [lead + tuple(map(model.array_sizes.__getitem__, names)) for names in axes]
+    shapes = [(*lead, *[sizes[name] for name in names]) for names in axes]
     try:
         pairs = zip(values, shapes, strict=True)
         return tuple(as_shape(value, shape, count > 1) for value, shape in pairs)
     except InputError as error:
-        if "x" not in given or np.any(x) or np.any(u):
+        if "x" not in given or np.any(given["x"]) or np.any(given["u"]):
             raise
         why = "here at rest, x = 0 and u = 0, about which models are linearized"
         raise InputError("", f"{error}; {why}") from error
@@ -253,7 +254,8 @@ class SymbolicModel(NonlinearModel):
             stacked = matrix.reshape(len(matrix), count, -1).swapaxes(0, 1)
             results.append(stacked.reshape(*lead, *stacked.shape[1 : 1 + len(names)]))
         if not all(np.isfinite(part).all() for part in results if part.dtype != object):
-            call(self._name, _as_stacks, axes, self, {"t": t, "x": x, "u": u}, results)
+            check = partial(_as_stacks, axes, self, {"t": t, "x": x, "u": u})
+            call(self._name, lambda: results, check=check)
         return results
 
     @cached_property

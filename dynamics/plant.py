@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.callbacks import Callback, as_shape, guard
+from dynamics.callbacks import Callback, CallbackError, as_shape, guard
 from dynamics.discretize import discretize_zoh
 from dynamics.doors import check_methods, checked
 from dynamics.inputs import InputError, read_array
@@ -21,6 +22,7 @@ Samples = Float[Array, "{substeps}+1 agents n"]
 
 RTOL = 1e-13  # of a step of `NonlinearPlant`, and in addition
 ATOL = 1e-9, 1e-12  # of each agent's position and velocity [m, m/s]
+MAX_ASKED = 20_000  # times that a rate is asked for between two returned instants
 ROUNDING = 1e-9  # of the first states of a user's own plant, relative and in SI units
 
 
@@ -127,7 +129,7 @@ class NonlinearPlant(Plant):
 
         Raises:
             ValueError: Shapes, controls or times do not fit this plant.
-            RuntimeError: The integrator fails, as at a singularity of the model.
+            CallbackError: The integrator fails, as at a singularity or a jump of the model.
         """
         validate_propagation(x, u, dt, substeps, self.model.axes)
         states = np.full((substeps + 1, *x.shape), np.nan)
@@ -140,18 +142,22 @@ class NonlinearPlant(Plant):
         atol = np.tile(np.repeat(ATOL, self.model.axes), len(present)) / np.sqrt(len(present))
         held = u[present]
 
+        asked = count()
+
         def rate(s: float, y: Array) -> Array:
+            if next(asked) > MAX_ASKED * substeps:
+                reason = "its rate jumps, or has the digits of float32; a smooth one in doubles"
+                raise CallbackError("", f"{failed} at t = {s:.6g} s: {reason} would do")
             return np.asarray(self.model.rate(s, y.reshape(len(present), -1), held).ravel())
 
         instants = t + np.linspace(0, dt, substeps + 1)
-        y = x[present].ravel()
+        y, failed = x[present].ravel(), f"{type(self.model).__name__} cannot be integrated"
         for k in range(substeps):
             span = (float(instants[k]), float(instants[k + 1]))
             solution = scipy.integrate.solve_ivp(rate, span, y, "DOP853", rtol=RTOL, atol=atol)
             if not solution.success:
-                name = type(self.model).__name__
                 when = f"from t = {span[0]:.6g} to {span[1]:.6g} s"
-                raise RuntimeError(f"{name} cannot be integrated {when}: {solution.message}")
+                raise CallbackError("", f"{failed} {when}: {solution.message}")
             y = solution.y[:, -1]
             states[k + 1, present] = y.reshape(len(present), -1)
         return states

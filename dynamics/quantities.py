@@ -36,10 +36,10 @@ def to_si(value: Any, unit: str) -> Any:
         listed = value.tolist()
         parts = to_si(listed, unit)
         return value if parts is listed else parts
-    found = _split(value)
-    if found is None:
+    split = _split(value)
+    if split is None:
         return value
-    numbers, powers = found
+    numbers, powers = split
     if {name: power for name, power in powers.items() if power} != _powers(unit):
         noun = SUFFIXES[unit].quantity if unit else "number without a unit"
         wanted = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"

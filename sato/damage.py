@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.inputs import LARGEST, shorten
 from sato.interfaces import Recorded
 from sato.network.load import PURPOSES
-from sato.record import CommonVariables, recorded_fields
+from sato.record import AXIS_NAMES, CommonVariables, recorded_fields
 from sato.run_data import RunData
 from sato.scenario.errors import join_names
 from sato.systems import load_system
@@ -28,6 +28,8 @@ RANGES: dict[str, tuple[int, str]] = {
     "targets": (0, "target"),
     **dict.fromkeys(("believed", "programs", "rounds", "solves", "steps", "target_count"), (0, "")),
 }
+UNBOUNDED = ("lambda2", "lambda3", "lambda2_estimate")  # infinite for one or two agents
+LABELS = {"axis": AXIS_NAMES, "purpose": PURPOSES}
 LARGEST_WHOLE = 2**53  # number that a double holds
 LISTS = ("agents", "believed", "component", "point", "steps", "target", "targets")  # in events
 # Entries that the check reads of events, beside time, kind and agents, by system.
@@ -70,35 +72,39 @@ def find_damage(data: RunData, mission: Any | None) -> str:
                 names = "axes" if dim == "axis" else f"{dim}s"
                 return f"the file has {sizes[dim]} {names}, and its scenario {wanted}"
     faults = (_find_fault(data, name, field, sizes) for name, field in fields.items())
-    found = next(filter(None, faults), "")
-    return found or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
+    fault = next(filter(None, faults), "")
+    return fault or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
 
 
 def _list_sizes(mission: Any) -> dict[str, int]:
     is_joined = mission.system == "reconfiguration"  # by agents that are not there at the start
     count = len(mission.alive) if is_joined else mission.agents
-    found = dict.fromkeys(("agent", "other", "point", "neighbor"), count)
-    found |= {"axis": mission.axes if is_joined else 3, "purpose": len(PURPOSES)}
-    return found | {"leg": len(getattr(mission, "legs", ()))}
+    sizes = dict.fromkeys(("agent", "other", "point", "neighbor"), count)
+    sizes |= {"axis": mission.axes if is_joined else 3, "purpose": len(PURPOSES)}
+    return sizes | {"leg": len(getattr(mission, "legs", ()))}
 
 
 def _find_fault(data: RunData, name: str, field: Recorded, sizes: Mapping[str, int]) -> str:
     if name not in data:
         return ""
-    dims, values, _ = data.variables[name]
+    dims, values, attributes = data.variables[name]
     if dims != field.dims:
         return f"{name} is along {join_names(dims, 'and')}, not {join_names(field.dims, 'and')}"
+    if (unit := str(attributes.get("units", field.unit))) != field.unit:
+        return f"{name} has {unit} as its unit, not {field.unit}"
+    if name in LABELS and tuple(values) != LABELS[name][: len(values)]:
+        return f"{name} has labels {join_names(values, 'and')}, which no run has"
     if field.dtype is None:
         return ""
     if values.dtype.kind not in "biuf":
         return f"{name} has {values.dtype} for numbers"
     least, most = (0, 1) if field.dtype is bool else _find_range(name, sizes)
     with np.errstate(invalid="ignore"):
-        is_wrong = (np.abs(values) > LARGEST) & np.isfinite(values)
+        is_wrong = (np.abs(values) > LARGEST) & (np.isfinite(values) | (name not in UNBOUNDED))
         if field.dtype is not float:
             is_wrong = (values % 1 != 0) | (values < least) | (values > most)
-    if name == "control_instant":
-        is_wrong |= values == 0  # every instant of a run is one
+    if name in ("control_instant", "time"):  # every instant of a run is one, and has a time
+        is_wrong |= np.isnan(values) if name == "time" else values == 0
     if not is_wrong.any():
         return ""
     place = np.unravel_index(int(np.argmax(is_wrong)), is_wrong.shape)
@@ -111,7 +117,7 @@ def _find_event_faults(
 ) -> Iterator[str]:
     for number, text in enumerate(data["event"]):
         event = None
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             event = json.loads(str(text))
         if not isinstance(event, dict) or not isinstance(event.get("kind"), str):
             yield f"event {number} is no table with a kind"

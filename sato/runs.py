@@ -93,9 +93,12 @@ class Run:
 
     @property
     def _readable_mission(self) -> Any:
-        if damage := find_damage(self.recorded, self.drawn_mission):
-            raise record.RunFileError(f"the record is damaged: {damage}")
+        self._refuse_damage(self.drawn_mission)
         return self.drawn_mission
+
+    def _refuse_damage(self, drawn: Any | None) -> None:
+        if damage := find_damage(self.recorded, drawn):
+            raise record.RunFileError(f"the record is damaged: {damage}")
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
         """Return the events in the order of time; of the given kinds only, if any."""
@@ -187,6 +190,7 @@ class Run:
         """Write the trajectories for other tools, see `sato.export`."""
         from sato.export import export
 
+        self._refuse_damage(None)
         return export(self.recorded, path, format, self.scene if format == "rrd" else None)
 
     def save(self, directory: str | Path) -> Path:

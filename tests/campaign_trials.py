@@ -6,6 +6,9 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
+
+import sato
 from sato.campaigns.definition import Campaign
 from sato.campaigns.engine import fly_campaign
 from sato.campaigns.trial import run_trial
@@ -61,3 +64,27 @@ def toss(rng, sides, fails=False):
         raise ZeroDivisionError("as asked")
     thrown = int(rng.integers(sides))
     return {"thrown": thrown, "is_first": thrown == 0}
+
+
+class Gusty(sato.Plant):
+    """Double integrators that overshoot."""
+
+    def propagate(self, x, u, t, dt, substeps=1):
+        """Step with more thrust than was asked for."""
+        return sato.LinearPlant(sato.DoubleIntegrator(2)).propagate(x, 1.05 * u, t, dt, substeps)
+
+
+def draw_gusty(rng):
+    """Draw a mission with a plant of its own, which no file holds."""
+    start = 2.0 * np.c_[np.arange(2), np.zeros(2)]
+    return sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2),
+        plant=Gusty(),
+        start=start,
+        legs=[sato.Leg(start + rng.uniform(1, 2), steps=12)],
+        step=1.0,
+        comm_radius=20.0,
+        collision_radius=0.5,
+        max_control=0.3,
+        max_speed=1.0,
+    )

@@ -452,6 +452,8 @@ def test_wrong_use_is_refused_with_a_cure():
         agents[0].set_targets(row(4, 1.0), 14)
     with pytest.raises(ValueError, match="3 is less than the 4 that agents bid on"):
         agents[1].set_targets(row(3, 1.0), 14)
+    with pytest.raises(ValueError, match=r"transfer of 100,000,000 steps takes about .* would do"):
+        agents[1].set_targets(row(4, 1.0), 10**8)
     with pytest.raises(
         ValueError, match="got a NoneType; leave out those of agents that have sent"
     ):

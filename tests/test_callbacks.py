@@ -251,6 +251,17 @@ def test_a_model_that_changes_with_time_does_not_say_otherwise():
     assert sato.run(mission(model=type("Own", (Drag,), changing)())).summary["reached"]
 
 
+@pytest.mark.parametrize("name", ["matrices", "rate"])
+def test_methods_of_a_linear_model_are_of_one_motion(name):
+    def changed(self, *given):
+        result = getattr(super(type(model), self), name)(*given)
+        return 1.01 * result if name == "rate" else (0.99 * result[0], *result[1:])
+
+    model = type("Own", (Drag,), {name: changed})()
+    with pytest.raises(InputError, match=r"Own\.\w+ is of another motion than its matrices|Own:"):
+        mission(model=model)
+
+
 def test_results_of_other_types_with_the_right_numbers_are_converted():
     class Listed(Drag):
         def A(self, t):
@@ -326,6 +337,27 @@ def test_strict_raises_an_exception_as_it_is():
 
     with pytest.raises(LookupError, match=r"^no display$"):
         sato.run(mission(), progress=watch, strict=True)
+
+
+def test_a_plant_that_throws_a_vehicle_ends_the_flight_in_words():
+    class Throw(Wind):
+        def propagate(self, x, u, t, dt, substeps=1):
+            states = super().propagate(x, u, t, dt, substeps)
+            states[1:, 0, 2] += 1e6 * (t == 8)
+            return states
+
+    said = sato.run(mission(plant=Throw())).summary["stopped"]
+    assert said.startswith("agent 0 flies at 1e+06 m/s, over 100 times model.max_speed_m_s")
+
+
+@pytest.mark.parametrize("size", [np.nan, 1e40])
+def test_strict_names_the_callback_of_a_wrong_result(size):
+    class Jump(Wind):
+        def propagate(self, x, u, t, dt, substeps=1):
+            return super().propagate(x, u, t, dt, substeps) * (size if t == 8 else 1)
+
+    with pytest.raises(InputError, match=r"^Jump.propagate\(t=8\): the result must be"):
+        sato.run(mission(plant=Jump()), strict=True)
 
 
 def test_an_interrupt_passes_through_a_callback():

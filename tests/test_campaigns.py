@@ -297,6 +297,19 @@ def test_a_row_is_flown_again_from_itself_alone(tmp_path):
     assert sato.load(tmp_path / "x" / "runs" / "1").check().kept
 
 
+def test_a_drawn_mission_that_no_file_holds_is_drawn_again(tmp_path):
+    with sato.campaign(campaign_trials.draw_gusty, trials=2, workers=1, out=tmp_path) as table:
+        outcome, differing = fly_again(table, 1)
+        assert outcome["exit"] == table.row(1)["exit"] != "refused"
+    assert not differing
+
+
+def test_columns_that_no_table_holds_are_refused_in_words():
+    for column in (10**400, object(), 1j):
+        with pytest.raises(InputError, match="must be a dict of numbers, text and lists"):
+            trials._as_columns({"a": column})
+
+
 def test_a_mission_that_is_refused_is_a_row():
     outcome = run_trial(campaign(grid={"swarm.comm_radius_m": [0.1]}).trial(0))
     assert outcome["exit"] == "refused"

@@ -272,3 +272,5 @@ def test_fast_leader_and_slow_power_iteration_are_doubted():
     (slow,) = drawn("estimator.kind=power_pi").warnings()
     assert re.search(r"fly 6 mm from one .* limits.speed_m_s = 1.25 would do", slow)
     assert not drawn().warnings()
+    (late,) = drawn("death=[{time_s=1.5}, {time_s=3}]").warnings()
+    assert late == "a robot is to be lost at 3 s, and the flight ends at 2 s"

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from math import inf, nan
 from typing import Annotated, Literal, NamedTuple
 
@@ -116,6 +117,13 @@ def test_lists_and_numbers_of_numpy_are_converted():
 @pytest.mark.parametrize(("given", "norm"), [(inf, "inf"), (2.0, 2), (np.int64(2), 2)])
 def test_norms_are_taken_as_numpy_takes_them(given, norm):
     assert move(X, 1.0, norm=given)[6] == norm
+
+
+def test_fractions_are_numbers_and_no_integers():
+    assert move(X, Fraction(1, 2))[1] == 0.5
+    for name, value in (("dt", Fraction(10**400)), ("dt", Fraction(-1, 2)), ("count", Fraction(2))):
+        with pytest.raises(InputError, match=f"^{name}: must be .* got an object of type Fraction"):
+            move(**{"x": X, "dt": 1.0, name: value})
 
 
 def test_an_array_of_floats_passes_as_it_is():

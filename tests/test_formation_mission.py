@@ -289,3 +289,9 @@ def test_a_list_of_pairs_is_the_graph_of_the_matrix():
     points, pairs = 3.0 * np.eye(3), [(0, 1), (1, 2)]
     matrix = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
     assert FormationLeg(points, pairs) == FormationLeg(points, matrix)
+
+
+def test_a_push_that_begins_after_every_flight_is_doubted():
+    pushes = f"{push(start=50, end=60)}, {push(start=70, end=80)}"
+    (doubt,) = drawn("limit_s=60", f"push=[{pushes}]").warnings()
+    assert doubt == "a push is to begin at 70 s, and the flight ends at 60 s at the latest"

@@ -385,3 +385,19 @@ def test_angles_beyond_two_turns_are_refused_as_degrees():
     with pytest.raises(sato.InputError, match=r"yaw: .* np\.radians\(90\)"):
         FrameSettings(yaw=np.array([0.0, 90.0, 45.0]))
     assert sato.Orbit.from_elements(7e6, true_anomaly=4 * np.pi).arg_latitude == 4 * np.pi
+
+
+def test_errors_of_pairs_are_taken_from_the_record_of_a_run_in_any_order():
+    errors = np.arange(9.0).reshape(3, 3) / 9
+    recorded = xr.DataArray(errors, dims=("agent", "other"), attrs={"units": "rad"})
+    for given in (recorded, recorded.T, recorded[::-1].assign_coords(agent=[2, 1, 0])):
+        assert np.array_equal(sato.Connectivity(agents=3, yaw_error=given).yaw_error, errors)
+
+
+def test_headings_of_frames_are_taken_with_their_unit():
+    headings = np.radians([10.0, 20.0, 30.0])
+    recorded = xr.DataArray(headings, dims="agent", attrs={"units": "rad"})
+    for given in (recorded, [10, 20, 30] * u.deg, headings):
+        assert FrameSettings(yaw=given).yaw == pytest.approx(headings)
+    with pytest.raises(sato.InputError, match="yaw: must be an angle, got an array in m"):
+        FrameSettings(yaw=headings * u.m)

@@ -1,6 +1,7 @@
 """Numbers that are wildly off: tiny missions, long legs, and memory before it is asked for."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from formation_runs import FIVE
 from reconfiguration_runs import row
@@ -69,3 +70,10 @@ def test_formation_flight_of_very_many_steps_is_doubted():
     mission = parse(FIVE, ("control.step_s=0.001", "protocol.limit_s=600"))
     (doubt,) = mission.draw(np.random.default_rng(0)).warnings()
     assert doubt.startswith("a flight takes 600,000 steps of 0.001 s")
+
+
+@pytest.mark.parametrize("take", [sato.FormationLeg, lambda value: sato.Leg(value, steps=5)])
+def test_no_time_is_taken_for_points(take):
+    for value in (pd.NaT, pd.Timedelta("5s"), np.timedelta64(5, "s")):
+        with pytest.raises(sato.InputError, match=r"^(formation|shape): must be"):
+            take(value)

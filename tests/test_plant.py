@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from dynamics import J2, ClohessyWiltshire, DoubleIntegrator, LinearModel, SymbolicModel
+from dynamics import (
+    J2,
+    ClohessyWiltshire,
+    DoubleIntegrator,
+    LinearModel,
+    NonlinearModel,
+    SymbolicModel,
+)
 from dynamics.atmosphere import Atmosphere
+from dynamics.callbacks import CallbackError
 from dynamics.inertial import InertialPlant
 from dynamics.orbit import Orbit
 from dynamics.plant import LinearPlant, NonlinearPlant
@@ -107,8 +115,22 @@ def test_a_nonlinear_plant_agrees_with_a_linear_one_for_a_linear_model(swarm):
 
 def test_a_model_that_cannot_be_integrated_is_reported():
     blow_up = SymbolicModel(1, lambda t, x, u: casadi.vertcat(x[1], x[1] ** 2))
-    with pytest.raises(RuntimeError, match="SymbolicModel cannot be integrated from t = 0 to 2 s"):
+    with pytest.raises(CallbackError, match="SymbolicModel cannot be integrated from t = 0 to 2 s"):
         NonlinearPlant(blow_up).propagate(np.ones((1, 2)), np.zeros((1, 1)), 0.0, 2.0)
+
+
+def test_a_rate_that_jumps_at_each_evaluation_is_refused_in_bounded_time():
+    class Rough(NonlinearModel):
+        axes = 2
+
+        def rate(self, t, x, u):
+            return np.concatenate([x[..., 2:], u + 1e-6 * np.sign(np.sin(1e9 * x[..., :2]))], -1)
+
+        def jacobian(self, t, x, u):
+            raise NotImplementedError
+
+    with pytest.raises(CallbackError, match=r"Rough cannot .* at t = .* in doubles would do"):
+        NonlinearPlant(Rough()).propagate(np.full((1, 4), 0.3), np.full((1, 2), 0.1), 0.0, 1.0)
 
 
 @pytest.mark.parametrize(

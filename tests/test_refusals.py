@@ -11,6 +11,8 @@ import pytest
 import sato
 import sato.scenario.ranges
 from problems.conic import Infeasible, Unsolved
+from sato.reconfiguration import reach
+from sato.reconfiguration.departure import depart_leg
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import check_memory
 
@@ -141,6 +143,14 @@ def test_a_limit_that_a_model_needs_is_not_cut():
     assert 1.0 < draw(1e9).max_control < 1e3
 
 
+def test_a_search_for_the_time_does_not_follow_an_orbit_for_long():
+    mission = sato.read("orbit", ["swarm.agents=2"]).draw(np.random.default_rng(0))
+    asked, find_targets = list[int](), lambda steps: asked.append(steps) or mission.legs[0].targets
+    departure = depart_leg(mission, 0)
+    assert not reach._Search(departure, find_targets, 1.5).is_enough(10**6) and asked == []
+    assert reach._Search(departure, find_targets, 1.5).is_enough(24) and asked
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -201,3 +211,15 @@ def test_refusal_asks_for_no_long_program_that_speed_limits_make_slow(norm, monk
     with pytest.raises(InputError, match=r"leg\.0\.steps: agent 0 can reach none of its targets"):
         mission.draw(np.random.default_rng(0))
     assert max(solved, default=0) < 250
+
+
+@pytest.mark.parametrize(
+    ("errors", "message"),
+    [
+        (np.full((3, 3), np.nan), r"yaw_error_rad: must be finite, got nan at \[0, 0\]$"),
+        ([0.1, 0.2, 0.3], r"yaw_error_rad: must be an array with 2 axes, got shape \(3,\)$"),
+    ],
+)
+def test_a_list_where_a_number_would_do_too_is_refused_as_a_list(errors, message):
+    with pytest.raises(sato.InputError, match=message):
+        sato.Connectivity(agents=3, yaw_error=errors)

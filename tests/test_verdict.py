@@ -24,6 +24,8 @@ from sato.check.report import (
     expect_small_error,
 )
 from sato.reconfiguration.leg import Leg, Loss
+from sato.record import RunFileError
+from sato.run_data import Variable
 from sato.runs import Run
 from sato.scene import SwarmScene
 
@@ -311,3 +313,38 @@ def test_clocks_that_the_seed_does_not_give_hide_no_collision():
     assert {each.name for each in honest.report.broken} == {"separation"}
     run = forged(honest, [*honest.events(), told])
     assert {each.name for each in run.report.broken} == {"times"} and run.verdict == "broken"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("axis", "axis has labels y and x, which no run has"),
+        ("position", "position has km as its unit, not m"),
+        ("velocity", "velocity is inf at time 3, agent 0, axis 0, which no run has"),
+        ("time", "time is nan at time 3, which no run has"),
+    ],
+)
+def test_units_labels_and_numbers_that_no_run_has_break_the_record(collided, name, text, tmp_path):
+    dims, values, attributes = collided.recorded.variables[name]
+    values, attributes = np.array(values), dict(attributes)
+    match name:
+        case "axis":
+            values = values[::-1]
+        case "position":
+            attributes["units"] = "km"
+        case "velocity":
+            values[3, 0, 0] = np.inf
+        case "time":
+            values[3] = np.nan
+    variables = collided.recorded.variables | {name: Variable(dims, values, attributes)}
+    data = replace(collided.recorded, variables=variables).seal()
+    damaged = replace(collided, recorded=data)
+    assert damaged.report.line == f"BROKEN: record, {text}"
+    with pytest.raises(RunFileError, match=f"the record is damaged: {text}"):
+        damaged.export(tmp_path / "table.csv", "csv")
+
+
+def test_a_body_of_which_the_mission_does_not_know_breaks_the_attributes(collided):
+    data = replace(collided.recorded, attrs=collided.recorded.attrs | {"center": "MARS"}).seal()
+    broken = replace(collided, recorded=data).report.broken
+    assert "attributes" in {promise.name for promise in broken}

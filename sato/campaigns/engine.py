@@ -18,7 +18,7 @@ from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTabl
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
-from sato.scenario.file import find_file
+from sato.scenario.file import describe_own, find_file
 
 MOST_RUNS = 10**6
 LOCK_FILE = "campaign.lock"
@@ -154,7 +154,9 @@ def fly_again(
     given = given if functions is None else given._replace(modules=str(functions.resolve().parent))
     given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
     text = table.scenario(row)
-    whole = given if text is None else given._replace(source=tomllib.loads(text), parameters={})
+    whole = given
+    if text is not None and not describe_own(text):  # what no file holds is drawn again
+        whole = given._replace(source=tomllib.loads(text), parameters={})
     outcome = run_trial(whole)
     if row["exit"] in (INTERRUPTED, "time limit"):
         return outcome, None

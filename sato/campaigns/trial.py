@@ -203,10 +203,11 @@ def _check_source(source: Any) -> Any:
     return as_kind(source, Mission | Mapping, "a mission, or a dict with its keys")
 
 
-def _as_columns(found: Any) -> dict[str, Any]:
+def _as_columns(result: Any) -> dict[str, Any]:
+    as_kind(result, Mapping, "a dict of columns")
     try:
-        cells = flatten(as_kind(found, Mapping, "a dict of columns"))
-    except TypeError as error:
+        cells = flatten(result)
+    except Exception as error:  # of objects, numbers without end and lists that hold themselves
         raise InputError("", f"must be a dict of numbers, text and lists: {error}") from error
     if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
         raise InputError("", f"must be at most {MOST_CELLS} columns with printable names")

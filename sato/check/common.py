@@ -146,10 +146,7 @@ def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
 
 def check_attributes(attributes: Mapping[str, Any], expected: Mapping[str, Any]) -> Promise:
     """Check that the radii and limits in the attributes are those of the scenario."""
-    wrong = [
-        name not in attributes or not np.array_equal(attributes[name], value)
-        for name, value in expected.items()
-    ]
+    wrong = [not np.array_equal(attributes.get(n, ""), value) for n, value in expected.items()]
     return expect_none("attributes", wrong, "radii or limits that are not the scenario's")
 
 

@@ -174,13 +174,16 @@ def check_losses(mission: "Connectivity") -> None:
 
 
 def doubts(mission: "Connectivity") -> list[str]:
-    """List doubts about a drawn mission: a fast leader, a stick that ends, a slow estimator."""
+    """List doubts about a drawn mission: a fast leader, a stick that ends, a late loss."""
     speed, commanded = mission.limits.speed, mission.stick.speed
     period = mission.power_iteration.exchange_period
     steps, unit = mission.duration / mission.step, "; are run.step_s and run.duration_s in s?"
     found = doubt_long("run", steps, mission.step, f"as it says{unit}", MANY_SHORT_STEPS)
     if isinstance(mission.stick, RecordedStick):
         found += mission.stick.doubt_end(mission.duration)
+    late = [loss.time for loss in mission.losses if loss.time and loss.time > mission.duration]
+    end = f"and the flight ends at {mission.duration:g} s"
+    found += [f"a robot is to be lost at {time:g} s, {end}" for time in late]
     if commanded >= speed:
         found.append(
             f"the stick asks for {commanded:g} m/s, and limits.speed_m_s = {speed:g} is all that "

@@ -33,10 +33,13 @@ def memory_demand(mission: "Formation", agents: int) -> float:
 
 
 def duration_doubts(mission: "Formation") -> list[str]:
-    """List doubts about a flight that may take far more steps than others."""
+    """List doubts about a flight that may take far more steps than others, and late pushes."""
     longest, step = mission.supervision.time_limit, mission.step
     reason = f"up to its limit of {longest:g} s; are control.step_s and that limit in s?"
-    return doubt_long("a flight", longest / step, step, reason, MANY_SHORT_STEPS)
+    late = [push.start for push in mission.operator_commands if push.start >= longest]
+    end = f"and the flight ends at {longest:g} s at the latest"
+    found = [f"a push is to begin at {start:g} s, {end}" for start in late]
+    return found + doubt_long("a flight", longest / step, step, reason, MANY_SHORT_STEPS)
 
 
 def check_clearance(mission: "Formation") -> None:

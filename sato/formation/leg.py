@@ -126,7 +126,8 @@ def _as_formation(value: Any) -> Any:
     if isinstance(value, str):
         return LibraryFormation(value)
     points = as_points(value)
-    return points if points is value else replace(points, keep_order=True)
+    is_new = isinstance(points, Points) and points is not value
+    return replace(points, keep_order=True) if is_new else points
 
 
 def _as_graph(value: Any) -> Any:

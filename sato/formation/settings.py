@@ -1,6 +1,7 @@
 """Settings of a formation flight: control, avoidance, assignment, frames and supervision."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy import ndarray as Array
 from pydantic import BeforeValidator
 
 from dynamics.doors import checked
+from dynamics.labels import to_plain
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
 from sato.scenario.definition import (
     TURNS,
+    Convert,
     Coordinates,
     Definition,
     Key,
@@ -104,6 +107,7 @@ Angles = Annotated[
     BeforeValidator(lambda value: value if isinstance(value, str) else as_array(value, 1)),
     TURNS,
 ]
+IN_RADIANS = Convert(partial(to_plain, unit="rad"))  # of a key without a unit
 SizeOrRows = Annotated[float | Array, BeforeValidator(_as_rows)]
 
 
@@ -114,7 +118,7 @@ class FrameSettings(Definition):
     Arrays, one row an agent, stand in place of what is drawn.
     """
 
-    yaw: Annotated[Angles, "headings [rad], random, or the same for all"] = "random"
+    yaw: Annotated[Angles, IN_RADIANS, "headings [rad], random, or the same for all"] = "random"
     offset: Annotated[SizeOrRows, Unit("m"), "origins, or largest coordinate"] = 10.0
     drift: Annotated[SizeOrRows, "odometry error per meter, each or its size"] = 0.01
     noise: Annotated[Length, NotNegative, "standard deviation of a measured coordinate"] = 0.02

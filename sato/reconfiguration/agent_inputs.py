@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
+from dynamics.inputs import LARGEST
 from dynamics.labels import STATES, to_plain
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
@@ -120,10 +121,11 @@ def as_state(mission: Reconfiguration, state: Any) -> Float[Array, " n"]:
     n = 2 * mission.axes
     with suppress(InputError):
         array = as_array(to_plain(state, "m", STATES), 1)
-        if array.shape == (n,):
+        if array.shape == (n,) and abs(array).max() <= LARGEST:
             return array
     raise ValueError(
-        f"state must be {n} finite numbers, position [m] and velocity [m/s], got {state!r}"
+        f"state must be {n} finite numbers, position [m] and velocity [m/s], at most {LARGEST:g} "
+        f"in size, got {state!r}"
     )
 
 

@@ -66,7 +66,7 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
         legs.append(with_targets(leg, targets))
     drawn = replace(mission, start=as_listed_points(start), legs=tuple(legs))
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(drawn, n))
-    feasibility.check_programs(drawn)
+    feasibility.check_programs(drawn.axes, drawn.legs)
     drawn = replace(drawn, plant=mission.draw_plant(len(states), rng))
     own_motion.try_motion(drawn.model, drawn.plant, drawn.initial_states, drawn.step)
     drawn = _resolve(drawn, departures, factors, demand)
@@ -150,6 +150,7 @@ def draw_leg(mission: Reconfiguration, leg: Leg, demand: int, instant: int) -> L
     """
     if is_auto(leg.steps):
         raise InputError("leg.steps", "must be a number for a leg that is set on the way")
+    feasibility.check_programs(mission.axes, [leg])
     listed = getattr(leg.shape, "positions", None)
     if mission.assignment == "given":
         demand = 1 if listed is not None else mission.vehicle_count

@@ -1,5 +1,6 @@
 """Feasibility of a mission: what can be refused before anything is flown."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from math import degrees, floor, inf, pi
 from typing import TYPE_CHECKING, Any
@@ -270,13 +271,13 @@ def memory_demand(mission: "Reconfiguration", agents: int) -> float:
     return demand + frames
 
 
-def check_programs(mission: "Reconfiguration") -> None:
-    """Refuse a drawn mission whose legs are too long for the programs of its transfers.
+def check_programs(d: int, legs: "Sequence[Leg]") -> None:
+    """Refuse legs, of so many axes, that are too long for the programs of their transfers.
 
     Their matrices have a row for each state of each step, and a column for each control.
     """
-    d, limit = mission.axes, machine_memory()
-    for number, leg in enumerate(mission.legs):
+    limit = machine_memory()
+    for number, leg in enumerate(legs):
         demand = 8.0 * 2 * d * d * float(leg.steps) ** 2
         if demand > limit:
             fits = int((limit / demand) ** 0.5 * leg.steps)

@@ -22,6 +22,7 @@ from sato.scenario.errors import InputError, round_down
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
 DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
 OFF_START = 1.37e-3  # as DIFFERENCE, from the starts to where a Jacobian is tried
+SAME_MOTION = 1e-6  # relative difference of accelerations, or their matrices
 SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
 MAX_TRIED = 8  # agents from whose states a Jacobian is tried
 LEAST_REACH = 1e-9  # of the direction that controls move least, over that they move most
@@ -76,6 +77,8 @@ def _check_model(model: Any, step: float, times: Any) -> None:
     if not all(map(np.array_equal, (A, B, z), linear.matrices(times))):
         reason = "returns other matrices for the same times; a model without state and chance"
         raise CallbackError("", f"{name} {reason} would do")
+    if isinstance(model, LinearModel) and (differing := _compare_motion(model, times, (A, B, z))):
+        raise InputError("", f"{name}.{differing} is of another motion than its matrices")
     for part, first, all_ in zip("ABz", here, (A, B, z), strict=True):
         if linear.is_time_invariant and not np.allclose(all_, first, ROUNDING, ROUNDING):
             reason = f"{part} changes with time; is_time_invariant = False would do"
@@ -85,6 +88,20 @@ def _check_model(model: Any, step: float, times: Any) -> None:
         reason = f"changes at {fastest:.3g} 1/s, in a time of {1 / fastest:.3g} s, and a control"
         cure = f"plan.step_s = {round_down(1 / fastest)} would do"
         raise InputError("", f"{name} {reason} is held for {step:g} s; {cure}")
+
+
+def _compare_motion(model: LinearModel, times: Any, stacks: Any) -> str:
+    """Name a method of a linear model that is of another motion than its matrices; "" if none."""
+    d, rng = model.axes, np.random.default_rng(0)
+    x, u = rng.normal(size=2 * d), rng.normal(size=d)
+    for time, A, B, z in zip(times, *stacks, strict=True):
+        expected = {"A": A, "B": B, "z": z, "rate": A @ x + B @ u + z}
+        given = {"A": model.A(time), "B": model.B(time), "z": model.z(time)}
+        for name, value in (given | {"rate": model.rate(time, x, u)}).items():
+            below = np.abs(value - expected[name])[d:]
+            if below.max() > SAME_MOTION * max(np.abs(expected[name][d:]).max(), ROUNDING):
+                return name
+    return ""
 
 
 def check_authority(name: str, model: DiscreteModel) -> None:

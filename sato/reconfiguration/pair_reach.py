@@ -25,6 +25,7 @@ LINEAR_STEPS = 500  # up to so many steps; beyond, both take their time to be as
 INFEASIBLE = 5  # times as long it takes in addition to tell that there is no transfer
 SPEED_TIME = 1.5e-7  # of a cubed step, to tell that none keeps a speed limit, at worst [s]
 STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
+ORBIT_TIME = 1e-4  # of a step of a chief on its orbit [s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.pair_reach import (
+    ORBIT_TIME,
     STEP_TIME,
     Budget,
     ControlBounds,
@@ -114,12 +115,14 @@ class _Search:
         self.bounds = cache(lambda steps: bound_controls(departure, targets_after(steps), steps))
 
     def is_enough(self, steps: float, factor: float = 1.0, trusts_bounds: bool = False) -> bool:
-        steps, departure = int(steps), self.departure
+        steps, departure, mission = int(steps), self.departure, self.departure.mission
         try:
+            each = STEP_TIME[mission.linear_model.is_time_invariant]
+            if mission.chief is not None:  # in the time of which targets move
+                self.budget.spend(max(ORBIT_TIME, each) * steps)
             targets = self.targets_after(steps)
-            if not are_at_rest(departure, targets):
-                is_fixed = departure.mission.linear_model.is_time_invariant
-                self.budget.spend(STEP_TIME[is_fixed] * steps)
+            if mission.chief is None and not are_at_rest(departure, targets):
+                self.budget.spend(each * steps)
             own = steps, factor, self.bounds, self.budget
             return find_stranded(departure, targets, *own) is None
         except Undecided as undecided:

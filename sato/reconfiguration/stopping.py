@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.callbacks import CallbackError
 from dynamics.model import StateSamples
 from problems import convexify
 from problems.conic import Unsolved
@@ -27,6 +28,7 @@ from sato.scp.planner import required_separations
 
 REST_TOLERANCE = 1e-12  # of the speed that a step at full control makes: slower is at rest
 REACH_TOLERANCE = 1e-9  # relative
+TOO_FAST = 100  # times the speed limit: a stop from there is not looked for
 
 
 class Commitment(NamedTuple):
@@ -114,6 +116,11 @@ def held_controls(
     A speed that noise has left is lost as soon as the committed controls end. Controls are 0 after
     the last of each, and come with how many each has.
     """
+    speed = np.linalg.norm(velocity, axis=1)
+    if len(speed) and speed.max() > TOO_FAST * mission.top_speeds.max():
+        reason = f"agent {agents[speed.argmax()]} flies at {speed.max():.3g} m/s"
+        cure = f"over {TOO_FAST} times model.max_speed_m_s; a plant and states in SI units would do"
+        raise CallbackError("", f"{reason}, {cure}")
     each = [committed_controls(mission, i, committed, instant) for i in agents.tolist()]
     held = pad_controls(each)
     u, length = end_at_rest(mission, agents, velocity, held, count_moving_steps(held))

@@ -49,9 +49,10 @@ def explain(error: Any) -> InputError:
     """Say in plain words the first that pydantic objects to, and what would do."""
     errors: list[Any] = error.errors(include_url=False)
     first, *others = errors
-    cause = first.get("ctx", {}).get("error")
-    if isinstance(cause, InputError):
-        return cause
+    is_single = isinstance(first["input"], str) or not hasattr(first["input"], "__len__")
+    for each in errors[:1] if is_single else errors:  # of a list, those that take one tell more
+        if isinstance(cause := each.get("ctx", {}).get("error"), InputError):
+            return cause
     where = ".".join(str(part) for part in first["loc"] if isinstance(part, int))
     literals = [other["msg"] for other in others if other["type"] == "literal_error"]
     words = [message.removeprefix("Input should be ") for message in literals]

@@ -58,7 +58,9 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
     unended = "legs that did not end" if len(ended) < len(mission.legs) else ""
     promises = (
         common.check_complete(record.attributes, unended),
-        common.check_attributes(record.attributes, collect_attributes(mission)),
+        common.check_attributes(
+            record.attributes, {"center": "", "epoch": ""} | collect_attributes(mission)
+        ),
         times,
         check_chief(record),
         check_finite(record),
