@@ -17,7 +17,7 @@ from sato.processes.network import USER, Connection, find_port, load_zenoh
 from sato.processes.vehicle_process import run_vehicle
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
-from sato.workers import make_context
+from sato.workers import check_guard, make_context
 
 MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
@@ -69,6 +69,7 @@ class Fleet(AbstractContextManager["Fleet"]):
         Refuse those for which there is no memory; a `VehicleError` says that one has ended early.
         """
         each = list(numbers)
+        check_guard()
         check_memory(len(each))
         context = _context()
         for i in each:
