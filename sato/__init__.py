@@ -98,8 +98,8 @@ def check_packages() -> None:
     """Refuse modules of the user's that hide the packages on which this one rests."""
     for name in ("dynamics", "problems"):
         spec, wanted = find_spec(name), Path(__file__).resolve().parents[1] / name
-        places = [Path(place).resolve() for place in (spec and spec.submodule_search_locations) or ()]
-        if wanted not in places:
+        places = (spec and spec.submodule_search_locations) or ()
+        if wanted not in [Path(place).resolve() for place in places]:
             reason = f"{spec.origin if spec else name} hides {wanted}, on which sato rests"
             raise ImportError(f"{reason}; another name of the file would do")
 
