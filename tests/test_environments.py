@@ -121,6 +121,7 @@ def test_exception_in_a_flight_leaves_its_record(monkeypatch):
                 raise IndexError("index 7 is out of bounds")
             yield frame
 
+    fail.__module__ = "sato.reconfiguration.loop"  # not of a user's own, which are told otherwise
     system = sato.systems.load_system("reconfiguration")
     monkeypatch.setattr("sato.runs.load_system", lambda _: replace(system, simulate=fail))
     run = sato.run("crossing")
