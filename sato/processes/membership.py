@@ -18,7 +18,7 @@ KEY_FILE = "key"
 
 
 class Membership(NamedTuple):
-    """What a process is told to take part: the key, and where the world is."""
+    """Key of a flight, and the place of its world, as a process is told."""
 
     key: bytes
     port: int

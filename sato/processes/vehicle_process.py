@@ -32,7 +32,7 @@ def run_vehicle(key_file: Path, number: int) -> None:
     """
     member = read_key(key_file, number)
     incarnation = Incarnation(key_file, number)
-    connection = Link(member, number, incarnation.number, key_file)
+    connection = VehicleConnection(member, number, incarnation.number, key_file)
     with threadpool_limits(1, user_api="blas"):
         try:
             briefing = _hear_mission(connection, number)
@@ -49,7 +49,7 @@ def run_vehicle(key_file: Path, number: int) -> None:
                 connection.receive(timeout=PATIENCE)
 
 
-class Link(Connection):
+class VehicleConnection(Connection):
     """Connection of a vehicle, whose process ends with the flight."""
 
     def __init__(self, member: Membership, number: int, incarnation: int, key_file: Path) -> None:
@@ -65,7 +65,7 @@ class Link(Connection):
         return super().receive(timeout)
 
 
-def _hear_mission(connection: Link, number: int) -> Briefing:
+def _hear_mission(connection: VehicleConnection, number: int) -> Briefing:
     """Say that the vehicle is there, until the world answers."""
     while True:
         connection.send(WORLD, Hearing(number, os.getpid()))
@@ -79,7 +79,7 @@ def _hear_mission(connection: Link, number: int) -> Briefing:
 class LockStepVehicle:
     """Vehicle that acts when it is called."""
 
-    def __init__(self, vehicle: Vehicle, connection: Link) -> None:
+    def __init__(self, vehicle: Vehicle, connection: VehicleConnection) -> None:
         self.vehicle, self.connection = vehicle, connection
         self._before: Any = vehicle.agent.memory
 
