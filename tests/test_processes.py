@@ -176,6 +176,19 @@ def test_no_process_is_left_where_the_world_is_killed(tmp_path):
             os.sched_yield()
 
 
+def test_vehicle_that_a_user_has_started_can_be_interrupted(tmp_path):
+    with flight(four()) as (fleet, processes):
+        frames = processes.fly()
+        next(frames)
+        kill(fleet, 2)
+        command = [sys.executable, "-m", "sato", "vehicle", "2", "--key-file", fleet.key_file]
+        vehicle = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+        while 2 not in fleet.new:
+            fleet.receive()
+        vehicle.send_signal(signal.SIGINT)
+        assert "interrupted" in vehicle.communicate()[1] and vehicle.returncode == 1
+
+
 def is_there(process):
     try:
         with open(f"/proc/{process}/stat") as file:

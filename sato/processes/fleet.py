@@ -73,7 +73,9 @@ class Fleet(AbstractContextManager["Fleet"]):
         check_memory(len(each))
         context = _context()
         for i in each:
-            process = context.Process(target=run_vehicle, args=(self.key_file, i), daemon=True)
+            process = context.Process(
+                target=run_vehicle, args=(self.key_file, i, True), daemon=True
+            )
             process.start()
             self.processes[i] = process
         until = monotonic() + START_TIME

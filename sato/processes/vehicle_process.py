@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,24 +21,25 @@ from sato.processes.vehicle import Vehicle
 PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
 
 
-def run_vehicle(key_file: Path, number: int) -> None:
+def run_vehicle(key_file: Path, number: int, is_child: bool = False) -> None:
     """Run the process of one vehicle, until the flight is over.
 
     Args:
         key_file: File of the key of the flight.
         number: Number of the vehicle.
+        is_child: Ignore Ctrl-C, which is for the world that has started it, and ends it.
 
     Raises:
         InputError: There is no such flight or vehicle, or the vehicle is there already.
     """
+    if is_child:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     member = read_key(key_file, number)
     incarnation = Incarnation(key_file, number)
     connection = VehicleConnection(member, number, incarnation.number, key_file)
-    with threadpool_limits(1, user_api="blas"):
+    with threadpool_limits(1, user_api="blas"), closing(connection):
         try:
             briefing = _hear_mission(connection, number)
-            # Ctrl-C is for the world from now on, which ends all others.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
             vehicle = Vehicle(number, briefing)
             if briefing.tick:
                 send = partial(connection.send, WORLD)
