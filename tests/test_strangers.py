@@ -3,8 +3,11 @@
 import json
 import os
 import sqlite3
+import sys
+from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
@@ -19,6 +22,10 @@ from sato.files import LIMIT
 from sato.record import RunFileError
 from sato.scenario.errors import InputError, ScenarioError
 from sato.terminal import STAND_IN, as_plain
+
+sys.path.append(str(Path(__file__).parents[1] / "scripts"))
+
+import mutate_files
 
 ESCAPES = "\x1b]0;title\x07\x1b[2J\u202e[/red][bold]"
 
@@ -250,3 +257,18 @@ def test_files_and_links_of_a_campaign_are_not_followed(campaign, tmp_path):
     (tmp_path / "other" / "campaign.sqlite").symlink_to(folder / "campaign.sqlite")
     with pytest.raises(InputError, match="is a link, and none is followed"):
         open_table(tmp_path / "other")
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_damaged_files_end_in_a_verdict_or_a_sentence(flown, campaign, tmp_path, number):
+    rng = np.random.default_rng([11, number])
+    if number % 3 == 0:
+        folder = copied(campaign, tmp_path)
+        told, reads = mutate_files.mutate_campaign(rng, folder), mutate_files.CAMPAIGN_READS
+    else:
+        folder = flown.save(tmp_path / "run")
+        told, reads = mutate_files.mutate_run(rng, folder), mutate_files.READS[::4]
+    for words in reads:
+        split = 2 if words[0] == "campaign" else 1
+        rest = [word.format(out=tmp_path) for word in words[split:]]
+        assert mutate_files.use([*words[:split], str(folder), *rest]) == "", told
