@@ -299,7 +299,7 @@ def test_a_row_is_flown_again_from_itself_alone(tmp_path):
 
 def test_a_drawn_mission_that_no_file_holds_is_drawn_again(tmp_path):
     with sato.campaign(campaign_trials.draw_gusty, trials=2, workers=1, out=tmp_path) as table:
-        outcome, differing = fly_again(table, 1)
+        outcome, differing = fly_again(table, 1, is_trusted=True)
         assert outcome["exit"] == table.row(1)["exit"] != "refused"
     assert not differing
 
