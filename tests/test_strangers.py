@@ -4,6 +4,7 @@ import json
 import os
 import sqlite3
 import sys
+import zlib
 from pathlib import Path
 
 import h5py
@@ -62,6 +63,15 @@ def link_virtually(opened):
     opened.create_virtual_dataset("more", layout)
 
 
+def unpack_twice(opened):
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_chunk((9,))
+    for _ in range(2):
+        layout.set_deflate(9)
+    space = h5py.h5s.create_simple((9,))
+    h5py.h5d.create(opened.id, b"more", h5py.h5t.NATIVE_UINT8, space, layout)
+
+
 OUTSIDE = {
     "external": lambda f: f.create_dataset("more", (9,), "u1", external=[("/etc/passwd", 0, 9)]),
     "virtual": link_virtually,
@@ -70,6 +80,9 @@ OUTSIDE = {
     "group": lambda f: f.create_group("more"),
     "plug-in": lambda f: f.create_dataset("more", (9,), "f8", chunks=(3,), compression="lzf"),
     "references": lambda f: f.create_dataset("more", (3,), h5py.ref_dtype),
+    "gzip of gzip": unpack_twice,
+    "texts in rows": lambda f: f.create_dataset("more", (1, 9), h5py.string_dtype()),
+    "texts in tables": lambda f: f.create_dataset("more", (3,), [("a", h5py.string_dtype())]),
 }
 
 
@@ -80,10 +93,40 @@ def test_run_files_hold_their_values_themselves(folder, change):
         sato.load(folder)
 
 
+def unpack_more_than_declared(opened):
+    variable = opened.create_dataset("x", (9,), "u1", chunks=(9,), compression="gzip")
+    packer = zlib.compressobj(9)
+    parts = [packer.compress(bytes(10**7)) for _ in range(30)]
+    variable.id.write_direct_chunk((0,), b"".join([*parts, packer.flush()]))
+
+
+def add_scale(opened, **options):
+    variable = opened.create_dataset("x", (10**8,), "i1", chunks=(10**6,), compression=9)
+    variable.attrs.update(options)
+
+
+def share_texts(opened):
+    table = np.zeros(4000, [("a", h5py.string_dtype())])
+    table["a"] = "y" * 9000
+    opened.attrs["x"] = table
+
+
+def add_events(opened):
+    event = opened["event"][0].decode()[:-1] + ', "more": [' + "{}," * 200_000 + "{}]}"
+    del opened["event"]
+    opened.create_dataset("event", (12,), h5py.string_dtype())[:] = event
+
+
 LARGE = {
     "variable": lambda f: f.create_dataset("x", (10**8,), "f8", chunks=(10**6,), compression=9),
     "chunk": lambda f: f.create_dataset("x", (1,), "f8", chunks=(10**8,), maxshape=(None,)),
     "texts": lambda f: f.attrs.create("x", ["y" * 9000] * 4000, dtype=h5py.string_dtype()),
+    "gzip": unpack_more_than_declared,
+    "scale": lambda f: add_scale(f, scale_factor=1.5),
+    "scale of booleans": lambda f: add_scale(f, dtype="bool", scale_factor=1.5),
+    "times of booleans": lambda f: add_scale(f, dtype="bool", units="days since 2000-01-01"),
+    "texts in a table": share_texts,
+    "events": add_events,
 }
 
 
