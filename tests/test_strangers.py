@@ -3,6 +3,7 @@
 import json
 import os
 import sqlite3
+import struct
 import sys
 import zlib
 from pathlib import Path
@@ -289,6 +290,65 @@ def test_definition_of_a_campaign_names_no_file_and_is_checked(campaign, tmp_pat
     folder = copied(campaign, tmp_path, f"UPDATE campaign SET definition = '{changed}'")
     result = call("campaign", "table", folder)
     assert result.exit_code == 2 and "fault" not in result.output
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        """UPDATE runs SET parameters = '{"leg.shape.file": "/etc/passwd"}', scenario_hash = '';""",
+        'UPDATE scenarios SET text = \'name = "x"\n[leg.shape]\nfile = "/etc/passwd"\'',
+    ],
+)
+def test_a_row_of_a_campaign_names_no_file(campaign, tmp_path, command):
+    with open_table(copied(campaign, tmp_path, command)) as table:
+        with pytest.raises(InputError, match=r"shape\.file; --trust reads it"):
+            fly_again(table, 0)
+
+
+def test_a_row_is_not_kept_where_a_link_leads(campaign, tmp_path):
+    folder = copied(campaign, tmp_path)
+    (folder / "runs").mkdir()
+    (folder / "runs" / "0").symlink_to(campaign)
+    with open_table(folder) as table, pytest.raises(InputError, match="runs/0: is a link"):
+        fly_again(table, 0)
+
+
+@pytest.mark.parametrize("end", ["-wal", "-shm", "-journal"])
+def test_links_beside_the_table_of_a_campaign_are_refused(campaign, tmp_path, end):
+    folder = copied(campaign, tmp_path)
+    (folder / f"campaign.sqlite{end}").unlink(missing_ok=True)
+    (folder / f"campaign.sqlite{end}").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=f"{end}: is a link, and none is followed"):
+        open_table(folder)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_table_whose_pages_lead_back_is_damaged(campaign, tmp_path):
+    folder = copied(campaign, tmp_path)
+    with sqlite3.connect(folder / "campaign.sqlite") as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        query = "SELECT rootpage FROM sqlite_master WHERE name = 'runs'"
+        (root,) = connection.execute(query).fetchone()
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+    connection.close()
+    data = bytearray((folder / "campaign.sqlite").read_bytes())
+    # An interior page, with many cells that lead to the last page of the same kind.
+    count, pages = 200, len(data) // size
+    chain = [root, *range(pages + 1, pages + 13)]
+    data += bytes(12 * size)
+    for page, below in zip(chain, [*chain[1:], chain[-1]], strict=True):
+        cells = b"".join(struct.pack(">IB", below, 1) for _ in range(count))
+        first = size - len(cells)
+        head = struct.pack(">BHHHBI", 5, 0, count, first, 0, below)
+        places = b"".join(struct.pack(">H", first + 5 * k) for k in range(count))
+        content = (head + places).ljust(first, b"\0") + cells
+        if page == chain[-1]:
+            content = struct.pack(">BHHHB", 13, 0, 0, size, 0).ljust(size, b"\0")
+        data[(page - 1) * size : page * size] = content
+    data[28:32] = struct.pack(">I", len(data) // size)
+    (folder / "campaign.sqlite").write_bytes(data)
+    with pytest.raises(InputError, match=r"is damaged: .*page"):
+        open_table(folder)
 
 
 def test_files_and_links_of_a_campaign_are_not_followed(campaign, tmp_path):
