@@ -332,7 +332,7 @@ def test_a_table_whose_pages_lead_back_is_damaged(campaign, tmp_path):
         (size,) = connection.execute("PRAGMA page_size").fetchone()
     connection.close()
     data = bytearray((folder / "campaign.sqlite").read_bytes())
-    # An interior page, with many cells that lead to the last page of the same kind.
+    # Interior pages, each with many cells that lead to the next, and one row in the last page.
     count, pages = 200, len(data) // size
     chain = [root, *range(pages + 1, pages + 13)]
     data += bytes(12 * size)
@@ -343,7 +343,9 @@ def test_a_table_whose_pages_lead_back_is_damaged(campaign, tmp_path):
         places = b"".join(struct.pack(">H", first + 5 * k) for k in range(count))
         content = (head + places).ljust(first, b"\0") + cells
         if page == chain[-1]:
-            content = struct.pack(">BHHHB", 13, 0, 0, size, 0).ljust(size, b"\0")
+            row = b"\1\1\1"  # its payload, number, and an empty record
+            head = struct.pack(">BHHHBH", 13, 0, 1, size - len(row), 0, size - len(row))
+            content = head.ljust(size - len(row), b"\0") + row
         data[(page - 1) * size : page * size] = content
     data[28:32] = struct.pack(">I", len(data) // size)
     (folder / "campaign.sqlite").write_bytes(data)
