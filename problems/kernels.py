@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from stat import S_IMODE
 from typing import Any
@@ -27,7 +28,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 def _find_cache() -> str:
     """Return a folder of the user alone, since what is in it is run."""
     folder = Path(tempfile.gettempdir(), f"sato-kernels-{os.getuid()}")
-    folder.mkdir(mode=0o700, exist_ok=True)
+    with suppress(FileExistsError):  # a file, or a link, of whomever
+        folder.mkdir(mode=0o700)
     status = folder.lstat()
     is_private = status.st_uid == os.getuid() and S_IMODE(status.st_mode) == 0o700
     return str(folder) if folder.is_dir() and is_private else tempfile.mkdtemp()

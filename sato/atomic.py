@@ -22,15 +22,15 @@ def replace_atomically(path: Path) -> Iterator[Path]:
     """
     try:
         final = Path(os.path.realpath(path.parent), path.name)
-        is_special = final.exists() and not (final.is_file() or final.is_dir())
-        if is_special and not final.is_symlink():
+        if final.exists() and not (final.is_file() or final.is_dir()):
             raise FileExistsError(EEXIST, "is neither a file nor a folder, and stays as it is")
         final.parent.mkdir(parents=True, exist_ok=True)
         with _scratch(final.parent) as place:
             new, old = place / path.name, place / f".{path.name}"
             yield new
             try:
-                if final.is_dir() or final.is_symlink():  # which the system does not replace
+                # The system puts files in place of files and links alone.
+                if new.is_dir() if final.is_symlink() else final.is_dir():
                     os.rename(final, old)
                 os.replace(new, final)
             except BaseException:
@@ -81,18 +81,22 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove what writers that were killed have left in a folder, as far as that can be written."""
-    with suppress(OSError), _locked(folder):
-        _remove_unlocked(folder)
+    for path in folder.glob(f"{PREFIX}*"):
+        if path.is_dir() and not path.is_symlink():
+            with suppress(OSError):
+                lock = os.open(path, os.O_RDONLY)
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(path, ignore_errors=True)
+                finally:
+                    os.close(lock)
 
 
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
     """Yield a new folder in a folder, locked as long as its writer lives, which is removed."""
-    with _locked(folder):
-        _remove_unlocked(folder)
-        place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
-        lock = os.open(place, os.O_RDONLY)
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    remove_leftovers(folder)
+    place, lock = _make_locked(folder)
     try:
         yield place
     finally:
@@ -100,18 +104,14 @@ def _scratch(folder: Path) -> Iterator[Path]:
         os.close(lock)
 
 
-def _remove_unlocked(folder: Path) -> None:
-    for path in folder.glob(f"{PREFIX}*"):
-        if path.is_dir() and not path.is_symlink():
-            with suppress(OSError), _locked(path, fcntl.LOCK_NB):
-                shutil.rmtree(path, ignore_errors=True)
-
-
-@contextmanager
-def _locked(folder: Path, option: int = 0) -> Iterator[None]:
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | option)
-        yield
-    finally:
-        os.close(lock)
+def _make_locked(folder: Path) -> tuple[Path, int]:
+    # The folder itself is not locked: another program, such as `flock`, may hold it.
+    while True:
+        place = Path(tempfile.mkdtemp(prefix=PREFIX, dir=folder))
+        with suppress(FileNotFoundError):  # taken for a leftover before it was locked
+            lock = os.open(place, os.O_RDONLY)
+            with suppress(OSError):  # of a file system without locks: there, leftovers stay
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if place.exists():
+                return place, lock
+            os.close(lock)

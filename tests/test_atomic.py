@@ -1,12 +1,13 @@
 """Files under final names: the earlier one or a whole new one, however a process ends."""
 
+import fcntl
 import os
 import subprocess
 import sys
 
 import pytest
 
-from sato.atomic import replace_atomically, replace_together
+from sato.atomic import PREFIX, remove_leftovers, replace_atomically, replace_together
 
 WRITE_AND_DIE = """
 import os, sys
@@ -40,7 +41,7 @@ def test_an_interrupted_writer_leaves_nothing_but_what_was_there(tmp_path, error
     assert (tmp_path / "oem" / "a.oem").read_text() == "earlier"
 
 
-@pytest.mark.parametrize("leads", ["run.nc", "gone", "folder", "/dev/null"])
+@pytest.mark.parametrize("leads", ["run.nc", "gone", "folder"])
 def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, leads):
     (tmp_path / "run.nc").write_text("earlier")
     (tmp_path / "folder").mkdir()
@@ -57,9 +58,45 @@ def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, leads):
 
 def test_what_is_no_file_is_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="neither a file nor a folder"):
-        replace_atomically(tmp_path / "pipe").__enter__()
-    assert (tmp_path / "pipe").is_fifo()
+    (tmp_path / "link").symlink_to("pipe")  # as /dev/stdout
+    for name in ("pipe", "link"):
+        with pytest.raises(OSError, match="neither a file nor a folder"):
+            replace_atomically(tmp_path / name).__enter__()
+        assert (tmp_path / name).is_fifo()
+
+
+def test_a_folder_that_another_program_has_locked_is_written_to(tmp_path):
+    lock = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    with replace_atomically(tmp_path / "a") as new:
+        new.write_text("whole")
+    os.close(lock)
+    assert contents(tmp_path) == {"a": "whole"}
+
+
+def test_files_are_written_where_there_are_no_locks(tmp_path, monkeypatch):
+    def refuse(*_):  # as network file systems do
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with replace_atomically(tmp_path / "a") as new:
+        remove_leftovers(tmp_path)
+        new.write_text("whole")
+    assert contents(tmp_path) == {"a": "whole"}
+
+
+def test_a_folder_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
+    flock, taken = fcntl.flock, []
+
+    def take(lock, option):
+        if not taken:
+            taken.extend(path.rmdir() or path for path in tmp_path.glob(f"{PREFIX}*"))
+        flock(lock, option)
+
+    monkeypatch.setattr(fcntl, "flock", take)
+    with replace_atomically(tmp_path / "a") as new:
+        new.write_text("whole")
+    assert taken and contents(tmp_path) == {"a": "whole"}
 
 
 @pytest.mark.parametrize("name", ["old", "oem"])

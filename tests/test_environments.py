@@ -1,6 +1,7 @@
 """Machines where nobody planned: what hides packages, folders that cannot be written, settings."""
 
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -89,6 +90,9 @@ def test_kernels_are_kept_elsewhere_where_nothing_can_be_written(tmp_path, monke
     (made,) = tmp_path.iterdir()
     assert folders == ["", str(made)] and made.stat().st_mode & 0o777 == 0o700
     made.chmod(0o777)  # of anybody, who might put code there
+    assert kernels._find_cache() != str(made)
+    shutil.rmtree(made)
+    made.write_text("of somebody who would keep it from being made")
     assert kernels._find_cache() != str(made)
 
 

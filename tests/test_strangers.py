@@ -3,7 +3,9 @@
 import json
 import os
 import sqlite3
+import struct
 import sys
+import zlib
 from pathlib import Path
 
 import h5py
@@ -62,6 +64,15 @@ def link_virtually(opened):
     opened.create_virtual_dataset("more", layout)
 
 
+def unpack_twice(opened):
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_chunk((9,))
+    for _ in range(2):
+        layout.set_deflate(9)
+    space = h5py.h5s.create_simple((9,))
+    h5py.h5d.create(opened.id, b"more", h5py.h5t.NATIVE_UINT8, space, layout)
+
+
 OUTSIDE = {
     "external": lambda f: f.create_dataset("more", (9,), "u1", external=[("/etc/passwd", 0, 9)]),
     "virtual": link_virtually,
@@ -70,6 +81,9 @@ OUTSIDE = {
     "group": lambda f: f.create_group("more"),
     "plug-in": lambda f: f.create_dataset("more", (9,), "f8", chunks=(3,), compression="lzf"),
     "references": lambda f: f.create_dataset("more", (3,), h5py.ref_dtype),
+    "gzip of gzip": unpack_twice,
+    "texts in rows": lambda f: f.create_dataset("more", (1, 9), h5py.string_dtype()),
+    "texts in tables": lambda f: f.create_dataset("more", (3,), [("a", h5py.string_dtype())]),
 }
 
 
@@ -80,10 +94,40 @@ def test_run_files_hold_their_values_themselves(folder, change):
         sato.load(folder)
 
 
+def unpack_more_than_declared(opened):
+    variable = opened.create_dataset("x", (9,), "u1", chunks=(9,), compression="gzip")
+    packer = zlib.compressobj(9)
+    parts = [packer.compress(bytes(10**7)) for _ in range(30)]
+    variable.id.write_direct_chunk((0,), b"".join([*parts, packer.flush()]))
+
+
+def add_scale(opened, **options):
+    variable = opened.create_dataset("x", (10**8,), "i1", chunks=(10**6,), compression=9)
+    variable.attrs.update(options)
+
+
+def share_texts(opened):
+    table = np.zeros(4000, [("a", h5py.string_dtype())])
+    table["a"] = "y" * 9000
+    opened.attrs["x"] = table
+
+
+def add_events(opened):
+    event = opened["event"][0].decode()[:-1] + ', "more": [' + "{}," * 200_000 + "{}]}"
+    del opened["event"]
+    opened.create_dataset("event", (12,), h5py.string_dtype())[:] = event
+
+
 LARGE = {
     "variable": lambda f: f.create_dataset("x", (10**8,), "f8", chunks=(10**6,), compression=9),
     "chunk": lambda f: f.create_dataset("x", (1,), "f8", chunks=(10**8,), maxshape=(None,)),
     "texts": lambda f: f.attrs.create("x", ["y" * 9000] * 4000, dtype=h5py.string_dtype()),
+    "gzip": unpack_more_than_declared,
+    "scale": lambda f: add_scale(f, scale_factor=1.5),
+    "scale of booleans": lambda f: add_scale(f, dtype="bool", scale_factor=1.5),
+    "times of booleans": lambda f: add_scale(f, dtype="bool", units="days since 2000-01-01"),
+    "texts in a table": share_texts,
+    "events": add_events,
 }
 
 
@@ -246,6 +290,67 @@ def test_definition_of_a_campaign_names_no_file_and_is_checked(campaign, tmp_pat
     folder = copied(campaign, tmp_path, f"UPDATE campaign SET definition = '{changed}'")
     result = call("campaign", "table", folder)
     assert result.exit_code == 2 and "fault" not in result.output
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        """UPDATE runs SET parameters = '{"leg.shape.file": "/etc/passwd"}', scenario_hash = '';""",
+        'UPDATE scenarios SET text = \'name = "x"\n[leg.shape]\nfile = "/etc/passwd"\'',
+    ],
+)
+def test_a_row_of_a_campaign_names_no_file(campaign, tmp_path, command):
+    with open_table(copied(campaign, tmp_path, command)) as table:
+        with pytest.raises(InputError, match=r"shape\.file; --trust reads it"):
+            fly_again(table, 0)
+
+
+def test_a_row_is_not_kept_where_a_link_leads(campaign, tmp_path):
+    folder = copied(campaign, tmp_path)
+    (folder / "runs").mkdir()
+    (folder / "runs" / "0").symlink_to(campaign)
+    with open_table(folder) as table, pytest.raises(InputError, match="runs/0: is a link"):
+        fly_again(table, 0)
+
+
+@pytest.mark.parametrize("end", ["-wal", "-shm", "-journal"])
+def test_links_beside_the_table_of_a_campaign_are_refused(campaign, tmp_path, end):
+    folder = copied(campaign, tmp_path)
+    (folder / f"campaign.sqlite{end}").unlink(missing_ok=True)
+    (folder / f"campaign.sqlite{end}").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=f"{end}: is a link, and none is followed"):
+        open_table(folder)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_table_whose_pages_lead_back_is_damaged(campaign, tmp_path):
+    folder = copied(campaign, tmp_path)
+    with sqlite3.connect(folder / "campaign.sqlite") as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        query = "SELECT rootpage FROM sqlite_master WHERE name = 'runs'"
+        (root,) = connection.execute(query).fetchone()
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+    connection.close()
+    data = bytearray((folder / "campaign.sqlite").read_bytes())
+    # Interior pages, each with many cells that lead to the next, and one row in the last page.
+    count, pages = 200, len(data) // size
+    chain = [root, *range(pages + 1, pages + 13)]
+    data += bytes(12 * size)
+    for page, below in zip(chain, [*chain[1:], chain[-1]], strict=True):
+        cells = b"".join(struct.pack(">IB", below, 1) for _ in range(count))
+        first = size - len(cells)
+        head = struct.pack(">BHHHBI", 5, 0, count, first, 0, below)
+        places = b"".join(struct.pack(">H", first + 5 * k) for k in range(count))
+        content = (head + places).ljust(first, b"\0") + cells
+        if page == chain[-1]:
+            row = b"\1\1\1"  # its payload, number, and an empty record
+            head = struct.pack(">BHHHBH", 13, 0, 1, size - len(row), 0, size - len(row))
+            content = head.ljust(size - len(row), b"\0") + row
+        data[(page - 1) * size : page * size] = content
+    data[28:32] = struct.pack(">I", len(data) // size)
+    (folder / "campaign.sqlite").write_bytes(data)
+    with pytest.raises(InputError, match=r"is damaged: .*page"):
+        open_table(folder)
 
 
 def test_files_and_links_of_a_campaign_are_not_followed(campaign, tmp_path):

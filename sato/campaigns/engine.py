@@ -3,7 +3,6 @@
 import json
 import os
 import sqlite3
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -18,7 +17,7 @@ from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTabl
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
-from sato.scenario.file import describe_own, find_file
+from sato.scenario.file import describe_own, find_file, load_toml
 
 MOST_RUNS = 10**6
 LOCK_FILE = "campaign.lock"
@@ -149,14 +148,16 @@ def fly_again(
     that names functions or files is refused, unless it is trusted, or the functions' file is given.
     """
     row = table.row(number)
-    _check_trusted(table, is_trusted, functions)
+    text = table.scenario(row)
+    _check_trusted(table, number, is_trusted, functions)
     given = table.campaign.trial(number, str(table.folder.resolve()))
     given = given if functions is None else given._replace(modules=str(functions.resolve().parent))
     given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
-    text = table.scenario(row)
     whole = given
     if text is not None and not describe_own(text):  # what no file holds is drawn again
-        whole = given._replace(source=tomllib.loads(text), parameters={})
+        whole = given._replace(source=load_toml(text, given.scenario_name), parameters={})
+    if not is_trusted and (file := find_file([whole.source, whole.parameters])):
+        raise InputError("", f"{table.folder}: its scenario names a file, {file}; --trust reads it")
     outcome = run_trial(whole)
     if row["exit"] in (INTERRUPTED, "time limit"):
         return outcome, None
@@ -166,10 +167,13 @@ def fly_again(
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 
 
-def _check_trusted(table: CampaignTable, is_trusted: bool, functions: Path | None) -> None:
+def _check_trusted(
+    table: CampaignTable, number: int, is_trusted: bool, functions: Path | None
+) -> None:
     called, place = table.campaign.functions, table.folder / "runs"
-    if place.is_symlink():
-        raise InputError("", f"{place}: is a link, and none is followed in a campaign")
+    for path in (place, place / str(number)):
+        if path.is_symlink():
+            raise InputError("", f"{path}: is a link, and none is followed in a campaign")
     if functions is not None:
         for name in called:
             if name.partition(":")[0] != functions.stem or not functions.is_file():
@@ -177,8 +181,6 @@ def _check_trusted(table: CampaignTable, is_trusted: bool, functions: Path | Non
     elif called and not is_trusted:
         reason = f"its runs call {join_names(called, 'and')}, which is code"
         raise InputError("", f"{table.folder}: {reason}; --trust runs it, or --functions FILE.py")
-    if not is_trusted and (file := find_file(list(table.campaign.scenario))):
-        raise InputError("", f"{table.folder}: its scenario names a file, {file}; --trust reads it")
 
 
 def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:

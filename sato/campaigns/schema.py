@@ -25,3 +25,10 @@ def check_schema(path: Path, connection: sqlite3.Connection) -> None:
         known.add(name)
     if known != NAMES:
         raise InputError("", f"{path}: is no campaign, for it has no table {min(NAMES - known)}")
+
+
+def check_pages(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse a database whose pages lead back, and have more rows than there is room for."""
+    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if found != "ok":
+        raise InputError("", f"{path}: is damaged: {' '.join(found.split())}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
-from sato.campaigns.schema import check_schema
+from sato.campaigns.schema import check_pages, check_schema
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
 from sato.run_data import json_default
 from sato.scenario.errors import InputError, closest_name, join_names
@@ -64,8 +64,9 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self.folder, self.path = folder, folder / TABLE_FILE
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
-        if self.path.is_symlink():
-            raise InputError("", f"{self.path}: is a link, and none is followed in a campaign")
+        for end in ("", "-wal", "-shm", "-journal"):  # which SQLite would read, or make
+            if (path := Path(f"{self.path}{end}")).is_symlink():
+                raise InputError("", f"{path}: is a link, and none is followed in a campaign")
         mode = "rw" if is_writer else "ro"
         journal = Path(f"{self.path}-wal")
         has_journal = journal.exists() and journal.stat().st_size > 0
@@ -77,6 +78,8 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
             self._connection = sqlite3.connect(address, **options)
             self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
             check_schema(self.path, self._connection)
+            if not is_writer:
+                check_pages(self.path, self._connection)
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
         self.fingerprint, self.version = str(row[1]), str(row[2])
         self.campaign = self._read_campaign(row[0])

@@ -179,7 +179,7 @@ def find_file(value: Any, address: str = "") -> str:
     """Find the address of a key of tables or lists that names a file or a font; "" if none does."""
     parts = value.items() if isinstance(value, dict) else enumerate(value)
     for key, part in parts:
-        if key in ("file", "font"):
+        if str(key).rpartition(".")[2] in ("file", "font"):
             return f"{address}{key}"
         if isinstance(part, dict | list) and (found := find_file(part, f"{address}{key}.")):
             return found
