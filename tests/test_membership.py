@@ -58,7 +58,9 @@ def test_envelopes_of_others_are_no_messages():
     old = bytearray(vehicle().seal(WORLD, b"x"))
     old[0] = VERSION + 1
     assert here.open(bytes(old)) is None
-    assert here.open(vehicle().seal(WORLD, bytes(MAX_SIZE))) is None
+    with pytest.raises(ValueError, match="a message of 8,000,000 bytes is more than"):
+        vehicle().seal(WORLD, bytes(MAX_SIZE))
+    assert here.open(bytes(MAX_SIZE + 1)) is None
 
 
 def test_vehicle_that_starts_again_is_believed_and_its_past_is_not():
@@ -108,7 +110,7 @@ def test_process_that_has_ended_is_not_running():
     while is_running(process.pid):  # until it is a zombie
         os.sched_yield()
     process.wait()
-    assert not is_running(process.pid) and is_running(os.getpid())
+    assert not is_running(process.pid) and is_running(os.getpid()) and not is_running(2**70)
 
 
 def test_those_without_the_key_are_not_let_in():

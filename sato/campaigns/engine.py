@@ -176,7 +176,8 @@ def _check_trusted(
             raise InputError("", f"{path}: is a link, and none is followed in a campaign")
     if functions is not None:
         for name in called:
-            if name.partition(":")[0] != functions.stem or not functions.is_file():
+            module, _, called_name = name.partition(":")
+            if module != functions.stem or "." in called_name or not functions.is_file():
                 raise InputError("--functions", f"{functions} is not the file of {name}")
     elif called and not is_trusted:
         reason = f"its runs call {join_names(called, 'and')}, which is code"

@@ -33,7 +33,9 @@ class Envelopes:
         self._last: dict[int, tuple[int, int]] = {}  # incarnation and counter of each sender
 
     def seal(self, receiver: int, content: bytes) -> bytes:
-        """Put content that is for a receiver into an envelope."""
+        """Put content for a receiver into an envelope; a `ValueError` refuses what is too large."""
+        if len(content) > MAX_SIZE - OVERHEAD:
+            raise ValueError(f"a message of {len(content):,} bytes is more than {MAX_SIZE:,}")
         self._count += 1
         data = _HEAD.pack(VERSION, self._own, self._incarnation, self._count) + content
         return data + self._tag(receiver, data)

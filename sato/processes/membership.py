@@ -82,7 +82,7 @@ def is_running(process: int) -> bool:
         state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     except PermissionError:
         return True
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except (OSError, IndexError):  # of a system without this file
         return True
