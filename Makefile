@@ -1,4 +1,4 @@
-# Targets: demo, test, lint, docs, lessons, gallery, wheel, three. Each creates .venv and installs what it needs.
+# Targets: demo, test, test-thorough, lint, docs, lessons, gallery, wheel, three. Each creates .venv and installs what it needs.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -8,7 +8,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint docs lessons gallery wheel three
+.PHONY: demo test test-thorough lint docs lessons gallery wheel three
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -22,6 +22,15 @@ demo: .venv/installed
 
 test: .venv/installed-dev
 	$(BIN)/python -m pytest
+
+# What is drawn at random, in numbers for which the tests have no time: about an hour.
+test-thorough: .venv/installed-dev
+	$(BIN)/python scripts/mutate_files.py --count 3000
+	$(BIN)/python scripts/fuzz_calls.py --count 10000
+	$(BIN)/python scripts/fuzz_definitions.py --count 500
+	$(BIN)/python scripts/fuzz_callbacks.py --count 300
+	$(BIN)/python scripts/fuzz_labels.py
+	$(BIN)/python scripts/verdicts.py
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

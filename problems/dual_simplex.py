@@ -12,6 +12,8 @@ import numba
 import numpy as np
 from numpy import ndarray as Array
 
+from problems.kernels import compiled
+
 OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
 
 PRIMAL_TOLERANCE = 1e-11  # largest violation of a bound, relative
@@ -54,7 +56,7 @@ def choose_basis(rows: Array) -> Array:
     return basis
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 @no_type_check
 def solve_batches(rows, first_basis, w, b, starts, max_pivots, x, λ, status):
     """Solve every program; those of other batches do not change a bit of its solution.

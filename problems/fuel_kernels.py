@@ -5,6 +5,8 @@ from typing import no_type_check
 import numba
 import numpy as np
 
+from problems.kernels import compiled
+
 ZERO_ENTRY = 1e-10  # over the norm of its row: an entry of the tableau that counts as zero
 MIN_RELATIVE_PIVOT = 1e-1  # of the largest entry among the kinks that are passed
 SMALL_PIVOT = 1e-5  # after which the tableau is computed anew
@@ -14,7 +16,7 @@ TINY = float(np.finfo(float).tiny)
 OPTIMAL, INFEASIBLE, STOPPED = 0, 1, 2
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 @no_type_check
 def append_rows(
     first,
@@ -72,7 +74,7 @@ def append_rows(
         place[slack], basic[row] = 1, slack
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 @no_type_check
 def ascend(
     kinks,

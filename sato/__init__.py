@@ -12,6 +12,8 @@ A name is imported from its module when it is first used, so that `import sato` 
 # ruff: noqa: F401
 
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -85,10 +87,21 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("sato-swarm")
+    check_packages()
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = found = getattr(import_module(_MODULES[name]), name)
     return found
+
+
+def check_packages() -> None:
+    """Refuse modules of the user's that hide the packages on which this one rests."""
+    for name in ("dynamics", "problems"):
+        spec, wanted = find_spec(name), Path(__file__).resolve().parents[1] / name
+        places = (spec and spec.submodule_search_locations) or ()
+        if wanted not in [Path(place).resolve() for place in places]:
+            reason = f"{spec.origin if spec else name} hides {wanted}, on which sato rests"
+            raise ImportError(f"{reason}; another name of the file would do")
 
 
 def __dir__() -> list[str]:

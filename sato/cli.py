@@ -5,12 +5,13 @@ import json
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Exit, Option, Typer, echo
+from typer import Argument, Exit, Option, Typer
 
 import sato
 from sato.cli_campaign import campaign_app
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, CommandGroup, ensure_writable, save_somewhere
 from sato.scenario.errors import InputError
+from sato.terminal import echo
 
 GARBAGE_THRESHOLD = 50_000  # new objects after which cycles are looked for; by default 700: +10 %
 
@@ -25,6 +26,7 @@ app = Typer(
 
 app.add_typer(campaign_app, name="campaign")
 
+OutFolder = Annotated[Path | None, Option("--out", metavar="DIR", help="That of the run.")]
 RunFolder = Annotated[Path, Argument(metavar="DIR", help="Folder of a run.")]
 Scenario = Annotated[str, Argument(metavar="NAME|FILE.toml", help="Built-in scenario, or a file.")]
 Word = str | None
@@ -126,14 +128,14 @@ def run(
 @app.command()
 def vehicle(
     number: Annotated[int, Argument(metavar="NUMBER", min=0, help="Of the vehicle.")],
-    port: Annotated[
-        int, Option(min=1, max=65535, help="Port at which `sato run --processes` listens.")
+    key_file: Annotated[
+        Path, Option(metavar="FILE", help="Key of the flight, which `sato run` names.")
     ],
 ) -> None:
     """Start the process of a vehicle whose own was killed; it joins the flight."""
     from sato.processes.vehicle_process import run_vehicle
 
-    run_vehicle(port, number)
+    run_vehicle(key_file, number)
 
 
 @app.command()
@@ -160,24 +162,30 @@ def check(
 
 @app.command()
 def plot(
-    folder: RunFolder, pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False
+    folder: RunFolder,
+    pdf: Annotated[bool, Option("--pdf", help="PDF instead of PNG.")] = False,
+    out: OutFolder = None,
 ) -> None:
-    """Draw the figures of a run into its folder."""
+    """Draw the figures of a run into its folder, or another."""
     from sato.console import progress_bar
 
+    place = out or _run_folder(folder)
+    ensure_writable(place)
     with progress_bar("drawing"):
-        figures = sato.load(folder).plot(_run_folder(folder), pdf=pdf)
+        figures = sato.load(folder).plot(place, pdf=pdf)
     for path in figures:
         echo(str(path))
 
 
 @app.command()
-def animate(folder: RunFolder) -> None:
-    """Animate a run into its folder: MP4, or GIF where ffmpeg is missing."""
+def animate(folder: RunFolder, out: OutFolder = None) -> None:
+    """Animate a run into its folder, or another: MP4, or GIF where ffmpeg is missing or fails."""
     from sato.console import progress_bar
 
+    place = out or _run_folder(folder)
+    ensure_writable(place)
     with progress_bar("animating") as progress:
-        path = sato.load(folder).animate(_run_folder(folder), progress=progress)
+        path = sato.load(folder).animate(place, progress=progress)
     echo(str(path))
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-from typer import Argument, Exit, Option, Typer, echo
+from typer import Argument, Exit, Option, Typer
 
 from sato.cli_errors import EXIT_FAILED, EXIT_OK, ensure_writable
+from sato.terminal import echo
 
 campaign_app = Typer(help="Fly many runs, and resume them.", no_args_is_help=True)
 
@@ -91,14 +92,19 @@ def status(folder: CampaignFolder) -> None:
 
 @campaign_app.command()
 def rerun(
-    folder: CampaignFolder, row: Annotated[int, Argument(metavar="ROW", help="Its number.")]
+    folder: CampaignFolder,
+    row: Annotated[int, Argument(metavar="ROW", help="Its number.")],
+    trust: Annotated[bool, Option("--trust", help="Run the functions that DIR names.")] = False,
+    functions: Annotated[
+        Path | None, Option(metavar="FILE.py", help="Run the functions of this file.")
+    ] = None,
 ) -> None:
     """Fly a row again from itself, into DIR/runs/ROW; exit 1 if its summary differs."""
     from sato.campaigns.engine import fly_again
     from sato.campaigns.table import open_table
 
     with open_table(folder) as table:
-        outcome, differing = fly_again(table, row)
+        outcome, differing = fly_again(table, row, trust, functions)
     echo(f"{outcome['exit']}{': ' if outcome['error'] else ''}{outcome['error'] or ''}")
     if differing:
         echo(f"sato: differs from the row in {', '.join(differing)}", err=True)
@@ -198,10 +204,11 @@ def _describe(folder: Path) -> str:
 @contextmanager
 def _show_progress() -> Iterator[Callable[[Counter[str], int], None]]:
     """Show a live line on a terminal, else a line at every tenth."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    console = Console(stderr=True)
+    from sato.console import TextConsole
+
+    console = TextConsole(stderr=True)
     began, first, tenth = perf_counter(), 0, -1
     text = TextColumn("{task.fields[line]}", markup=False)
     with Progress(BarColumn(), text, console=console, disable=not console.is_terminal) as bar:

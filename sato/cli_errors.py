@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperGroup
 
+from sato.atomic import PREFIX
 from sato.scenario.errors import InputError, ScenarioError, explain
+from sato.terminal import echo, use_ascii_where_needed
 
 if TYPE_CHECKING:
     from sato.runs import Run
@@ -30,6 +32,7 @@ class CommandGroup(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
+        use_ascii_where_needed()
         try:
             with _interrupts_raised(), warnings.catch_warnings():
                 warnings.showwarning = _print_warning
@@ -46,7 +49,7 @@ class CommandGroup(TyperGroup):
                 raise
             exec("")  # Python ends itself by the signal where one arose in code from a string
             sentence, code = _describe(error)
-            typer.echo(f"sato: {' '.join(sentence.split())}", err=True)
+            echo(f"sato: {' '.join(sentence.split())}", err=True)
             raise typer.Exit(code) from None
 
 
@@ -76,7 +79,7 @@ def ensure_writable(folder: Path) -> None:
     """Refuse a folder where nothing can be written, neither in it nor where it is to be."""
     try:
         existing = next(path for path in (folder, *folder.parents) if path.exists())
-        TemporaryDirectory(dir=existing).cleanup()
+        TemporaryDirectory(prefix=PREFIX, dir=existing).cleanup()
     except OSError as error:
         reason = f"{folder}: cannot be written to: {error.strerror}; --out takes another place"
         raise InputError("", reason) from error
@@ -93,7 +96,7 @@ def save_somewhere(flown: "Run", folder: Path) -> None:
         except OSError:
             rmtree(spare)
             raise error from None
-        typer.echo(f"sato: {_describe(error)[0]}; the run is in {spare}", err=True)
+        echo(f"sato: {_describe(error)[0]}; the run is in {spare}", err=True)
         raise typer.Exit(EXIT_FAILED) from error
 
 
@@ -116,4 +119,4 @@ def _describe(error: BaseException) -> tuple[str, int]:
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     # The line of the program where it arose does not help the author of a scenario.
-    typer.echo(f"warning: {' '.join(str(message).split())}", err=True)
+    echo(f"warning: {' '.join(str(message).split())}", err=True)

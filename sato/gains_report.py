@@ -6,14 +6,13 @@ from time import perf_counter
 from typing import Any, get_args
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainMethod, design_gains
 from problems.rigidity import Dimension, is_globally_rigid, is_redundantly_rigid, is_rigid
 from sato.atomic import replace_atomically
-from sato.console import progress_bar
+from sato.console import TextConsole, progress_bar
 from sato.scenario.errors import InputError
 from sato.shapes import formation_library as library
 
@@ -71,7 +70,7 @@ def design_and_save(
         ("short of it by, %", (100 * gains.gap_xy, 100 * gains.gap_z, 100 * gains.joint_gap)),
     ):
         table.add_row(label, *(f"{value:.4f}" for value in values))
-    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console = TextConsole(highlight=False, soft_wrap=True)
     console.print(table)
     cure = "" if joint else "; --joint has the best"
     console.print(f"both: for any shares of the two directions in one trace{cure}")
@@ -81,7 +80,7 @@ def design_and_save(
         f"largest entry of A N: {gains.residual_kernel:.1e}, off the structure: "
         f"{gains.residual_structure:.1e}, off the graph: {gains.residual_graph:.1e}"
     )
-    console.print(out)
+    console.print(str(out))
 
 
 def _format_size(formation: DesiredFormation) -> str:

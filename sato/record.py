@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,9 +23,10 @@ from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods, checked
-from sato.atomic import replace_atomically
+from sato.atomic import remove_leftovers, replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
+from sato.files import read_text
 from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
 from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
@@ -33,12 +35,13 @@ from sato.systems import load_system
 RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
 MAX_FRAMES = 300  # of a film, unless more are asked for
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
+READS = 5  # until a run file and a summary are of one run
 MARKED = 1 << 16  # bytes at either end of a file, in which its mark is
 AXIS_NAMES = ("x", "y", "z")
 
 _REQUIRED_ATTRIBUTES = ("system", "scenario", "name", "seed", "version")
 _MEASURED = ("wall_s", "peak_memory_mib")
-_SINGLE_ATTRIBUTES = (*_REQUIRED_ATTRIBUTES, *_MEASURED, "format", "complete", "stopped")
+_SINGLE_ATTRIBUTES = (*_REQUIRED_ATTRIBUTES, *_MEASURED, "format", "complete", "stopped", "digest")
 DTYPES = {float: float, Float: float, bool: bool, Bool: bool, int: int, Int: int}
 FORMAT = 2  # of the run file; files of sato 0.1 have no such attribute
 
@@ -101,6 +104,7 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     none is ever beside another's.
     """
     plain = json.loads(json.dumps(summary, default=json_default))
+    plain |= {"digest": data.attrs["digest"]} if "digest" in data.attrs else {}
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
     with replace_atomically(folder / RUN_FILE) as file:
         file.write_bytes(data.to_netcdf())
@@ -137,26 +141,39 @@ def _read_ends(path: Path) -> bytes:
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 
-    A file of another name than run.nc has no summary beside it, for that may be another run's. A
-    `RunFileError` says that it is missing, damaged, or not a run.
+    A file of another name than run.nc has no summary beside it, for that may be another run's, and
+    so may be one that is written meanwhile. A `RunFileError` says that it is missing, damaged, or
+    not a run.
     """
-    import h5py
-    import xarray
-
+    remove_leftovers(path if path.is_dir() else path.parent)
     file = path / RUN_FILE if path.is_dir() else path
-    if not file.is_file():
+    beside = file.with_name(SUMMARY_FILE)
+    for _ in range(READS):
+        data = _read_data(path, file)
+        summary = _read_summary(beside) if file.name == RUN_FILE else None
+        summary = initial_summary(data.attrs) if summary is None else summary
+        digest = data.attrs.get("digest")
+        if summary.pop("digest", digest) == digest:
+            return data, summary
+    return data, initial_summary(data.attrs)
+
+
+def _read_data(path: Path, file: Path) -> RunData:
+    from sato.run_file import read_run_file
+
+    if not file.exists():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
+    if path.is_dir() and file.is_symlink():
+        raise RunFileError(f"{file}: is a link, and none is followed in the folder of a run")
     try:
-        with h5py.File(file) as opened:  # where this fails, h5netcdf prints a second error
-            dict(opened.attrs)
-        data = RunData.from_xarray(xarray.load_dataset(file, engine="h5netcdf"))
+        data = read_run_file(file)
+    except InputError as error:
+        raise RunFileError(str(error)) from error
     except Exception as error:  # a damaged file makes h5py raise errors of many kinds
         text = f"{file}: cannot be read as netCDF-4: it is damaged or another kind of file"
         raise RunFileError(text) from error
     check_format(file, data)
-    beside = file.with_name(SUMMARY_FILE)
-    found = _read_summary(beside) if file.name == RUN_FILE and beside.is_file() else None
-    return data, initial_summary(data.attrs) if found is None else found
+    return data
 
 
 def initial_summary(attributes: Mapping[Any, Any]) -> dict[str, Any]:
@@ -278,7 +295,9 @@ def check_format(file: Path | str, data: RunData) -> None:
     for name in filter(data.attrs.__contains__, _SINGLE_ATTRIBUTES):
         value = data.attrs[name]
         is_whole = isinstance(value, int | np.integer) and 0 <= value < 2**64
-        if np.ndim(value) or (name in ("seed", "format") and not is_whole):
+        is_digest = isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
+        is_wrong = (name in ("seed", "format") and not is_whole) or np.ndim(value)
+        if is_wrong or (name == "digest" and not is_digest):
             raise RunFileError(f"{file}: is damaged, for its {name} is {value!r}")
     version = int(data.attrs.get("format", 1))
     if version != FORMAT:
@@ -301,12 +320,16 @@ def _raise_if_missing(file: Path | str, lacking: list[str]) -> None:
         raise RunFileError(f"{file}: is not a run of sato, for it has no {', '.join(lacking)}")
 
 
-def _read_summary(file: Path) -> dict[str, Any]:
+def _read_summary(file: Path) -> dict[str, Any] | None:
+    if not file.is_file() or file.is_symlink():
+        return None
     try:
-        summary = json.loads(file.read_text(encoding="utf-8"))
+        summary = json.loads(read_text(file))
         if not isinstance(summary, dict):
             raise ValueError("not a table")
         return summary
-    except (ValueError, OSError) as error:
+    except FileNotFoundError:  # taken away meanwhile
+        return None
+    except (ValueError, OSError, RecursionError) as error:
         text = f"{file}: is not readable JSON; delete it, the run file beside it is enough"
         raise RunFileError(text) from error

@@ -1,20 +1,19 @@
 """Figures and animations of a run: PNG or PDF, and MP4, or GIF where ffmpeg is missing."""
 
 import shutil
+import warnings
 from collections.abc import Callable, Mapping
-from errno import EIO
 from pathlib import Path
 from subprocess import CalledProcessError
 from typing import Any
 
-import matplotlib
-from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dynamics.doors import checked
 from sato.atomic import replace_atomically, replace_together
-from sato.figures.style import STYLE
+from sato.figures.context import styled
 from sato.film import SwarmFilm
 from sato.record import MAX_FRAMES, drawn_mark, find_drawn
 from sato.run_data import RunData
@@ -28,7 +27,7 @@ FIGURE_FORMATS = (".png", ".pdf")
 @checked
 def draw_figures(data: RunData, mission: Any) -> dict[str, Figure]:
     """Draw every figure of a run, by name, of the drawn mission that was flown."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figures = load_system(data.attrs["system"]).figures(data, mission)
         return {name: draw() for name, draw in figures.items()}
 
@@ -45,7 +44,7 @@ def write_figures(
     old = [path for path in find_drawn(directory) if path.suffix in FIGURE_FORMATS]
     names = [f"{name}.{'pdf' if pdf else 'png'}" for name in figures]
     metadata = {"Creator" if pdf else "Software": drawn_mark(digest)}
-    with replace_together(directory, old) as new, matplotlib.rc_context(STYLE):
+    with replace_together(directory, old) as new, styled():
         for name, figure in zip(names, figures.values(), strict=True):
             FigureCanvasAgg(figure)
             figure.savefig(new / name, metadata=metadata)
@@ -68,27 +67,39 @@ def animate(
     """
     # Browsers and slides play even sizes and yuv420p.
     even = ["-pix_fmt", "yuv420p", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2:color=white"]
-    mark, has_ffmpeg = drawn_mark(digest), shutil.which("ffmpeg") is not None
-    movie = FFMpegWriter(fps, extra_args=even, metadata={"comment": mark})
-    writer = movie if has_ffmpeg else PillowWriter(fps)
-    path = directory / ("run.mp4" if has_ffmpeg else "run.gif")
-    with matplotlib.rc_context(STYLE), replace_atomically(path) as file:
-        film = SwarmFilm(scene)
-        figure, times = film.canvas.figure, film.frame_times(frames)
+    mark = drawn_mark(digest)
+    if shutil.which("ffmpeg") is not None:
+        movie = FFMpegWriter(fps, extra_args=even, metadata={"comment": mark})
         try:
-            with writer.saving(figure, str(file), dpi=figure.dpi):
-                for i, time in enumerate(times, 1):
-                    film.draw_frame(float(time))
-                    writer.grab_frame()
-                    if progress is not None:
-                        progress(i, len(times))
+            with replace_atomically(directory / "run.mp4") as file:
+                _write_film(movie, file, scene, frames, progress)
+            return directory / "run.mp4"
         except (BrokenPipeError, CalledProcessError) as error:
             if isinstance(error.__context__, KeyboardInterrupt):  # ffmpeg got it too
                 raise error.__context__ from None
-            raise OSError(EIO, "ffmpeg could not write the film: is the disk full?") from error
-        if not has_ffmpeg:
-            _add_comment(file, mark.encode())
-    return path
+            warnings.warn("ffmpeg could not write MP4, and GIF stands in", stacklevel=2)
+    with replace_atomically(directory / "run.gif") as file:
+        _write_film(PillowWriter(fps), file, scene, frames, progress)
+        _add_comment(file, mark.encode())
+    return directory / "run.gif"
+
+
+def _write_film(
+    writer: AbstractMovieWriter,
+    file: Path,
+    scene: SwarmScene,
+    frames: int,
+    progress: Callable[[int, int], object] | None,
+) -> None:
+    with styled():
+        film = SwarmFilm(scene)
+        figure, times = film.canvas.figure, film.frame_times(frames)
+        with writer.saving(figure, str(file), dpi=figure.dpi):
+            for i, time in enumerate(times, 1):
+                film.draw_frame(float(time))
+                writer.grab_frame()
+                if progress is not None:
+                    progress(i, len(times))
 
 
 def _add_comment(gif: Path, text: bytes) -> None:

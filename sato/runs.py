@@ -33,7 +33,7 @@ from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError
-from sato.scenario.file import Mission, describe_own, from_dict, parse, read
+from sato.scenario.file import Mission, describe_own, from_dict, parse_embedded, read
 from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
@@ -320,7 +320,7 @@ def load(path: str | Path, mission: Mission | None = None) -> Run:
             raise record.RunFileError(f"{path}: is a run of another mission than is given")
         return Run(data, summary, mission)
     try:
-        return Run(data, summary, parse(text))
+        return Run(data, summary, parse_embedded(text))
     except ScenarioError as error:
         with suppress(ScenarioError):  # of text that is no TOML
             if describe_own(text):
@@ -388,10 +388,13 @@ def _collect_frames(
             callback(mission, frame)
             if interrupted.is_set():
                 raise KeyboardInterrupt
-    except endings as error:
-        if not frames:
+    except (Exception, KeyboardInterrupt) as error:
+        if not frames or (is_strict and not isinstance(error, endings)):
             raise
-        return frames, "interrupted" if isinstance(error, KeyboardInterrupt) else str(error)
+        if isinstance(error, KeyboardInterrupt):
+            return frames, "interrupted"
+        fault = f"a fault of the program: {type(error).__name__}: {error}"
+        return frames, str(error) if isinstance(error, endings) else fault
     finally:
         if is_deferred:
             signal.signal(signal.SIGINT, former)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import matplotlib
 import numpy as np
 import typer
 from matplotlib.figure import Figure
@@ -20,7 +19,8 @@ from sato.auctions.vsdaa import VsdaaAuction
 from sato.connectivity.controller import evaluate_potential, repulsion_gain
 from sato.connectivity.settings import Potential, Repulsion
 from sato.figures.axes import add_titles
-from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, RED, STYLE
+from sato.figures.context import styled
+from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, RED
 from sato.formation.settings import AssignmentSettings, FrameSettings
 from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.stopping import end_at_rest
@@ -354,7 +354,7 @@ def main(
 ) -> None:
     """Draw figures of the pages on methods into docs/concepts."""
     FOLDER.mkdir(exist_ok=True)
-    with matplotlib.rc_context(STYLE):
+    with styled():
         for name in names or FIGURES:
             FIGURES[name]().savefig(FOLDER / f"{name}.png", dpi=110)
 

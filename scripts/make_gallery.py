@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import gallery_pictures as pictures
-import matplotlib
 import typer
 from matplotlib.figure import Figure
 from PIL import Image
 
 import sato
-from sato.figures.style import STYLE
+from sato.figures.context import styled
 from sato.systems import load_system
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -257,7 +256,7 @@ def fly(flight: Flight) -> sato.Run:
 def draw(picture: Picture) -> Figure:
     """Draw a picture from its runs."""
     runs = [fly(flight) for flight in picture.flights]
-    with matplotlib.rc_context(STYLE):
+    with styled():
         if isinstance(picture.draw, str):
             [run] = runs
             system = load_system(run.recorded.attrs["system"])
@@ -267,7 +266,7 @@ def draw(picture: Picture) -> Figure:
 
 def to_png(figure: Figure) -> bytes:
     """Return a figure as a PNG of few colors."""
-    with matplotlib.rc_context(STYLE), BytesIO() as large, BytesIO() as small:
+    with styled(), BytesIO() as large, BytesIO() as small:
         figure.savefig(large, format="png", dpi=DPI)
         image = Image.open(large).convert("RGB")
         # By median cut, rare colors would be lost.

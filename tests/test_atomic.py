@@ -1,12 +1,13 @@
 """Files under final names: the earlier one or a whole new one, however a process ends."""
 
+import fcntl
 import os
 import subprocess
 import sys
 
 import pytest
 
-from sato.atomic import replace_atomically, replace_together
+from sato.atomic import PREFIX, remove_leftovers, replace_atomically, replace_together
 
 WRITE_AND_DIE = """
 import os, sys
@@ -40,19 +41,62 @@ def test_an_interrupted_writer_leaves_nothing_but_what_was_there(tmp_path, error
     assert (tmp_path / "oem" / "a.oem").read_text() == "earlier"
 
 
-def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+@pytest.mark.parametrize("leads", ["run.nc", "gone", "folder"])
+def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, leads):
     (tmp_path / "run.nc").write_text("earlier")
-    (tmp_path / "link").symlink_to("run.nc")
-    with replace_atomically(tmp_path / "link") as new:
-        new.write_text("whole")
-    assert (tmp_path / "link").is_symlink() and (tmp_path / "run.nc").read_text() == "whole"
+    (tmp_path / "folder").mkdir()
+    for is_folder in (False, True):
+        link = tmp_path / f"link {is_folder}"
+        link.symlink_to(leads)
+        with replace_atomically(link) as new:
+            new.mkdir() if is_folder else new.write_text("whole")
+        assert not link.is_symlink() and link.is_dir() == is_folder
+    assert (tmp_path / "run.nc").read_text() == "earlier"
+    assert sorted(path.name for path in (tmp_path / "folder").iterdir()) == []
+    assert not list(tmp_path.glob(".saving-*")) and not (tmp_path / "gone").exists()
 
 
 def test_what_is_no_file_is_not_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError, match="neither a file nor a folder"):
-        replace_atomically(tmp_path / "pipe").__enter__()
-    assert (tmp_path / "pipe").is_fifo()
+    (tmp_path / "link").symlink_to("pipe")  # as /dev/stdout
+    for name in ("pipe", "link"):
+        with pytest.raises(OSError, match="neither a file nor a folder"):
+            replace_atomically(tmp_path / name).__enter__()
+        assert (tmp_path / name).is_fifo()
+
+
+def test_a_folder_that_another_program_has_locked_is_written_to(tmp_path):
+    lock = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    with replace_atomically(tmp_path / "a") as new:
+        new.write_text("whole")
+    os.close(lock)
+    assert contents(tmp_path) == {"a": "whole"}
+
+
+def test_files_are_written_where_there_are_no_locks(tmp_path, monkeypatch):
+    def refuse(*_):  # as network file systems do
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with replace_atomically(tmp_path / "a") as new:
+        remove_leftovers(tmp_path)
+        new.write_text("whole")
+    assert contents(tmp_path) == {"a": "whole"}
+
+
+def test_a_folder_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
+    flock, taken = fcntl.flock, []
+
+    def take(lock, option):
+        if not taken:
+            taken.extend(path.rmdir() or path for path in tmp_path.glob(f"{PREFIX}*"))
+        flock(lock, option)
+
+    monkeypatch.setattr(fcntl, "flock", take)
+    with replace_atomically(tmp_path / "a") as new:
+        new.write_text("whole")
+    assert taken and contents(tmp_path) == {"a": "whole"}
 
 
 @pytest.mark.parametrize("name", ["old", "oem"])

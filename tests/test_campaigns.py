@@ -288,14 +288,18 @@ def test_a_row_is_flown_again_from_itself_alone(tmp_path):
         first, second = table.rows()
         assert first["instants"] > 40 and first["columns_error"] is None
         assert second["instants"] is None and "no such thing" in second["columns_error"]
-        outcome, differing = fly_again(table, 1)
+        with pytest.raises(
+            InputError, match="campaign_trials:more_columns, which is code; --trust"
+        ):
+            fly_again(table, 1)
+        outcome, differing = fly_again(table, 1, is_trusted=True)
         assert (outcome["exit"], differing) == ("reached", [])
     assert sato.load(tmp_path / "x" / "runs" / "1").check().kept
 
 
 def test_a_drawn_mission_that_no_file_holds_is_drawn_again(tmp_path):
     with sato.campaign(campaign_trials.draw_gusty, trials=2, workers=1, out=tmp_path) as table:
-        outcome, differing = fly_again(table, 1)
+        outcome, differing = fly_again(table, 1, is_trusted=True)
         assert outcome["exit"] == table.row(1)["exit"] != "refused"
     assert not differing
 
@@ -343,7 +347,7 @@ def test_a_function_in_place_of_runs_fills_columns_that_come_again(tmp_path):
         found = [row for row in table.rows() if row["exit"] == "done"]
         assert {row["thrown"] for row in found if row["sides"] == 6} > set(range(2))
         assert all(row["is_first"] == (row["thrown"] == 0) for row in found)
-        outcome, differing = fly_again(table, found[-1]["row"])
+        outcome, differing = fly_again(table, found[-1]["row"], is_trusted=True)
     assert outcome["columns"]["thrown"] == found[-1]["thrown"]
     assert not differing
 
@@ -353,7 +357,10 @@ def test_a_row_of_a_function_beside_the_file_is_computed_again(tmp_path, monkeyp
     text = '[campaign]\nfunction = "beside:solve"\n[grid]\nx = [1, 2]\n'
     (tmp_path / "mine.toml").write_text(text)
     folder = str(tmp_path / "out")
-    for words in (["run", str(tmp_path / "mine.toml"), "--out", folder], ["rerun", folder, "1"]):
+    for words in (
+        ["run", str(tmp_path / "mine.toml"), "--out", folder],
+        ["rerun", folder, "1", "--trust"],
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "path", [*sys.path])  # as in a process that has just started
             result = call("campaign", *words)

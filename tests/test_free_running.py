@@ -147,8 +147,8 @@ def test_vehicle_gives_up_where_it_hears_one_that_does_not_hear_it():
 def actuators(count):
     """A flight whose vehicles have no processes, its world, and what it sends to them."""
     mission, rng, sent = mission_of(count), np.random.default_rng(SEED), []
-    with Fleet() as fleet:
-        world = World(mission.draw(rng), rng)
+    world = World(mission.draw(rng), rng)
+    with Fleet("", count) as fleet:
         fleet.send = lambda number, value: sent.append(value)
         yield FreeRunning(world, fleet, mission.to_toml(), SEED), world, sent
 

@@ -55,15 +55,15 @@ def simulated(mission):
 @contextmanager
 def flight(mission):
     rng = np.random.default_rng(SEED)
-    with Fleet() as fleet:
-        yield fleet, LockStep(World(mission.draw(rng), rng), fleet, mission.to_toml(), SEED)
+    world = World(mission.draw(rng), rng)
+    with Fleet("", len(world.x)) as fleet:
+        yield fleet, LockStep(world, fleet, mission.to_toml(), SEED)
 
 
 def kill(fleet, number):
     fleet.processes[number].kill()
     fleet.processes[number].join()
-    while number not in fleet.gone:
-        fleet.receive(timeout=0.01)
+    fleet._looks_at = 0.0
 
 
 def check(mission, frames):
@@ -174,6 +174,19 @@ def test_no_process_is_left_where_the_world_is_killed(tmp_path):
     for process in ids:
         while is_there(process):
             os.sched_yield()
+
+
+def test_vehicle_that_a_user_has_started_can_be_interrupted(tmp_path):
+    with flight(four()) as (fleet, processes):
+        frames = processes.fly()
+        next(frames)
+        kill(fleet, 2)
+        command = [sys.executable, "-m", "sato", "vehicle", "2", "--key-file", fleet.key_file]
+        vehicle = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+        while 2 not in fleet.new:
+            fleet.receive()
+        vehicle.send_signal(signal.SIGINT)
+        assert "interrupted" in vehicle.communicate()[1] and vehicle.returncode == 1
 
 
 def is_there(process):

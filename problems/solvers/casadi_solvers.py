@@ -7,7 +7,9 @@ linear programs with it); and *highs*, which crashes a process that has loaded H
 this one has.
 """
 
+from contextlib import nullcontext, redirect_stdout
 from functools import partial
+from io import StringIO
 from typing import Any
 
 import casadi
@@ -61,10 +63,14 @@ class _CasadiConicSession:
         shape = {"h": H.sparsity(), "a": A.sparsity()}
         options = {"error_on_fail": False, "print_time": False}
         options |= _options(plugin, tolerance / 10, problem.P is None)
-        self._solver: Any = casadi.conic("solver", plugin, shape, options)
+        # qpOASES prints its name, whatever it is told.
+        self._hush = partial(redirect_stdout, StringIO()) if plugin == "qpoases" else nullcontext
+        with self._hush():
+            self._solver: Any = casadi.conic("solver", plugin, shape, options)
 
     def solve(self, b: Vector) -> SolverResult:
-        found = self._solver(**self._data, lba=lower_bounds(b, self._zero), uba=b)
+        with self._hush():
+            found = self._solver(**self._data, lba=lower_bounds(b, self._zero), uba=b)
         stats = self._solver.stats()
         message = str(stats.get("return_status", stats["unified_return_status"]))
         iterations = max(stats.get("iter_count", 0), 0) or None

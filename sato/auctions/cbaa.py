@@ -37,11 +37,11 @@ from typing import Annotated, NamedTuple, no_type_check
 import numpy as np
 from annotated_types import Ge, Gt, Lt
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.inputs import InputError
+from problems.kernels import compiled
 from sato.auctions.vsdaa import NO_WINNER
 from sato.network.graph import CommunicationGraph
 
@@ -190,7 +190,7 @@ def init_state(
     )
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def run_rounds(s, rounds, loss, rng, is_down):
     """Run at most so many rounds more, until all agents know the end.
@@ -221,7 +221,7 @@ def run_rounds(s, rounds, loss, rng, is_down):
                 s.sent_version[slot, i] = s.version[i]
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _merge_inbox(i, slot, loss, rng, is_down, s):
     # Merge the messages that arrive at agent i; True where that changed what it knows.
@@ -242,7 +242,7 @@ def _merge_inbox(i, slot, loss, rng, is_down, s):
     return changed
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _place_bid(i, s):
     price, winner, score = s.price[i], s.winner[i], s.score[i]

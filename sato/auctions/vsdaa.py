@@ -23,11 +23,11 @@ from typing import Annotated, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Num
-from numba import njit
 from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.inputs import InputError
+from problems.kernels import compiled
 from sato.network.graph import FAR, CommunicationGraph
 
 NO_WINNER = -1  # winner of a target without a standing bid
@@ -206,7 +206,7 @@ def _count_news(state: "VsdaaState", logs: Sequence["BidLog"]) -> dict[str, Int[
     return {"message_count": counts[0], "entry_count": counts[1]}
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _count_changes(hops, told, agent, round, is_other, is_same, messages, entries):
     for i in range(len(hops)):
@@ -359,7 +359,7 @@ def _make_room(state: VsdaaState, log: BidLog) -> BidLog:
     return wider
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _advance(last_round, epsilon, bidder_ids, s, log):
     agents, targets = s.cost.shape
@@ -397,7 +397,7 @@ def _advance(last_round, epsilon, bidder_ids, s, log):
     return outcome
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _announce(s, log):
     # A bid placed d rounds ago arrives d hops away from its bidder: there it is news for those
@@ -412,7 +412,7 @@ def _announce(s, log):
             i = s.next_holder[i]
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _merge(i, s, log):
     # What has arrived since the last time. News of a target are of the round in which the bid
@@ -434,7 +434,7 @@ def _merge(i, s, log):
         at, w = rounds[k] + hops[agents[k]], log.winner[k]
         if size > own or (size == own and w < winner[j]):
             s.price_count[i] += price[j] == 0
-            s.winner_count[i] += (w >= 0) - (winner[j] >= 0)
+            s.winner_count[i] += int(w >= 0) - int(winner[j] >= 0)
             price[j], winner[j] = p, w
             if arrival[j] < 0:
                 changed[count] = j
@@ -450,7 +450,7 @@ def _merge(i, s, log):
     s.merged_bid[i] = max(s.merged_bid[i], log.size[0])
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _read_in_order(price, winner):
     total = 0.0
@@ -459,7 +459,7 @@ def _read_in_order(price, winner):
     return total
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _place_bid(i, epsilon, bidder_ids, s, log):
     # Lines 10-25; False if there are not enough targets.
@@ -505,7 +505,7 @@ def _place_bid(i, epsilon, bidder_ids, s, log):
     return True
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _drop_target(i, s):
     # Takes an agent from the list of those that hold its target.

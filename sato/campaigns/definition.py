@@ -152,6 +152,12 @@ class Campaign(Definition):
                 raise InputError(both[0], f"stands in [{one}] and in [{two}]; one is enough")
 
     @property
+    def functions(self) -> list[str]:
+        """Functions of the user's that its runs call, as "module:function"."""
+        sources = [source for source in self.scenario if isinstance(source, str)]
+        return [name for name in (self.function, self.columns, *sources) if name]
+
+    @property
     def points(self) -> int:
         """Number of runs with the same seed."""
         return prod(self._shape)
@@ -257,7 +263,14 @@ class Campaign(Definition):
     @classmethod
     def from_json(cls, text: str) -> "Campaign":
         """Read what `to_json` wrote; refuse keys that this version does not know."""
-        plain = json.loads(text)
+        try:
+            plain = json.loads(text)
+            sources = [source for source in plain["scenario"] if isinstance(source, str)]
+            if not all(map(FUNCTION.fullmatch, sources)):
+                raise TypeError("a scenario is neither a table nor a function")
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            reason = f"its definition is damaged: {type(error).__name__}: {error}"
+            raise InputError("", reason) from error
         if unknown := sorted(set(plain) - {field.name for field in fields(cls)}):
             raise InputError(unknown[0], "is a key of another version of sato")
         return cls(**plain)

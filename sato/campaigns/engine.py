@@ -3,7 +3,6 @@
 import json
 import os
 import sqlite3
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -18,7 +17,7 @@ from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTabl
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
-from sato.scenario.file import describe_own
+from sato.scenario.file import describe_own, find_file, load_toml
 
 MOST_RUNS = 10**6
 LOCK_FILE = "campaign.lock"
@@ -140,18 +139,25 @@ def fly_campaign(
                 progress(exits, campaign.runs)
 
 
-def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | None]:
+def fly_again(
+    table: CampaignTable, number: int, is_trusted: bool = False, functions: Path | None = None
+) -> tuple[Outcome, list[str] | None]:
     """Fly a row again by its number, keep the run, and return the outcome and differing columns.
 
-    There is nothing to compare, and None, where the worker of the row died or was ended.
+    There is nothing to compare, and None, where the worker of the row died or was ended. A table
+    that names functions or files is refused, unless it is trusted, or the functions' file is given.
     """
     row = table.row(number)
-    given = table.campaign.trial(number, str(table.folder.resolve()))
-    given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
     text = table.scenario(row)
+    _check_trusted(table, number, is_trusted, functions)
+    given = table.campaign.trial(number, str(table.folder.resolve()))
+    given = given if functions is None else given._replace(modules=str(functions.resolve().parent))
+    given = given._replace(parameters=json.loads(row["parameters"]), seed=row["seed"], keep="all")
     whole = given
     if text is not None and not describe_own(text):  # what no file holds is drawn again
-        whole = given._replace(source=tomllib.loads(text), parameters={})
+        whole = given._replace(source=load_toml(text, given.scenario_name), parameters={})
+    if not is_trusted and (file := find_file([whole.source, whole.parameters])):
+        raise InputError("", f"{table.folder}: its scenario names a file, {file}; --trust reads it")
     outcome = run_trial(whole)
     if row["exit"] in (INTERRUPTED, "time limit"):
         return outcome, None
@@ -159,6 +165,23 @@ def fly_again(table: CampaignTable, number: int) -> tuple[Outcome, list[str] | N
     names = {name for name, value in row.items() if value is not None} | set(cells)
     differing = {name for name in names if cells.get(name) != row.get(name)}
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
+
+
+def _check_trusted(
+    table: CampaignTable, number: int, is_trusted: bool, functions: Path | None
+) -> None:
+    called, place = table.campaign.functions, table.folder / "runs"
+    for path in (place, place / str(number)):
+        if path.is_symlink():
+            raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+    if functions is not None:
+        for name in called:
+            module, _, called_name = name.partition(":")
+            if module != functions.stem or "." in called_name or not functions.is_file():
+                raise InputError("--functions", f"{functions} is not the file of {name}")
+    elif called and not is_trusted:
+        reason = f"its runs call {join_names(called, 'and')}, which is code"
+        raise InputError("", f"{table.folder}: {reason}; --trust runs it, or --functions FILE.py")
 
 
 def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -> CampaignTable:

@@ -5,7 +5,6 @@ from io import BytesIO
 from math import ceil
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -20,7 +19,8 @@ from sato.campaigns.selection import (
     select,
 )
 from sato.campaigns.table import CampaignTable
-from sato.figures.style import BLUE, STYLE, marker_style
+from sato.figures.context import styled
+from sato.figures.style import BLUE, marker_style
 from sato.scenario.errors import InputError
 from sato.summary import format_value
 
@@ -51,7 +51,7 @@ def draw_campaign(
     few = grouped if has_few else group_runs(table, (), show, where)
     pair = [parse_term(text, table) for text in scatter] or [grouped.terms[n] for n in numbers[:2]]
     figures = {}
-    with matplotlib.rc_context(STYLE):
+    with styled():
         if means:
             figures["rates"] = draw_intervals(grouped.of(means))
         if numbers:
@@ -66,7 +66,7 @@ def draw_campaign(
 
 def as_png(figure: Figure) -> bytes:
     """Return a figure as the contents of a PNG file."""
-    with matplotlib.rc_context(STYLE), BytesIO() as file:
+    with styled(), BytesIO() as file:
         figure.savefig(file, format="png")
         return file.getvalue()
 

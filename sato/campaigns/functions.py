@@ -8,6 +8,7 @@ from typing import Any
 
 from sato.scenario.errors import InputError
 
+OURS = "dynamics", "problems", "sato"
 FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")  # "module:function"
 
 
@@ -19,6 +20,9 @@ def add_modules(folder: str) -> None:
 
 def find_function(name: str) -> Callable[..., Any]:
     """Import "module:function"; an `InputError` refuses what is not there."""
+    if (top := re.split("[.:]", name)[0]) in OURS:
+        reason = f"{top} is a package of this library; another name of the file would do"
+        raise InputError("", f'"{name}": {reason}')
     try:
         found: Callable[..., Any] = resolve_name(name)
     except Exception as error:  # whatever a module of the user's raises

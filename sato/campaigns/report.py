@@ -78,7 +78,8 @@ def _format_failures(table: CampaignTable) -> list[str]:
     for row, seed, parameters, exit, error in rows[:MAX_FAILURES]:
         values = ", ".join(f"{key} = {value}" for key, value in json.loads(parameters).items())
         last = (error or "").strip().rpartition("\n")[2]
-        again = f"sato campaign rerun {quote(str(table.folder.resolve()))} {row}"
+        trust = " --trust" if table.campaign.functions else ""
+        again = f"sato campaign rerun {quote(str(table.folder.resolve()))} {row}{trust}"
         cells.append([str(row), str(seed), values, exit, last, again])
     return [*lines, _format_table(head, cells)] if rows else lines
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
+from sato.campaigns.schema import check_pages, check_schema
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
 from sato.run_data import json_default
 from sato.scenario.errors import InputError, closest_name, join_names
@@ -22,6 +23,7 @@ if TYPE_CHECKING:  # slow to import
 
 TABLE_FILE = "campaign.sqlite"
 PATIENCE = 30.0  # wait for another program that has locked the table [s]
+MOST_BYTES = 64_000_000  # of a cell
 MOST_COLUMNS = 1900  # SQLite takes 2,000 and more
 EXITS = ("reached", "done", "not reached", "broken", "refused", "time limit", "died", "error")
 SUCCESSES = ("reached", "done")  # of runs, and of functions in place of runs
@@ -62,7 +64,10 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         self.folder, self.path = folder, folder / TABLE_FILE
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
-        mode = "rw"  # SQLite writes beside a table in use, also to read it
+        for end in ("", "-wal", "-shm", "-journal"):  # which SQLite would read, or make
+            if (path := Path(f"{self.path}{end}")).is_symlink():
+                raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+        mode = "rw" if is_writer else "ro"
         journal = Path(f"{self.path}-wal")
         has_journal = journal.exists() and journal.stat().st_size > 0
         if not (is_writer or os.access(folder, os.W_OK) or has_journal):
@@ -71,7 +76,10 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         with describe_errors(self.path):
             options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
             self._connection = sqlite3.connect(address, **options)
-            self._connection.execute(f"PRAGMA query_only = {not is_writer}")
+            self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+            check_schema(self.path, self._connection)
+            if not is_writer:
+                check_pages(self.path, self._connection)
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
         self.fingerprint, self.version = str(row[1]), str(row[2])
         self.campaign = self._read_campaign(row[0])

@@ -6,7 +6,6 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,7 +13,8 @@ from matplotlib.lines import Line2D
 
 from sato.compare.measure import Measurement
 from sato.compare.plan import format_tolerance
-from sato.figures.style import STYLE, marker_style
+from sato.figures.context import styled
+from sato.figures.style import marker_style
 
 CONES = ("linear", "second-order", "semidefinite")  # the hardest last
 ERROR_FLOOR = 1e-16  # least error that is drawn: rounding of a double
@@ -25,7 +25,7 @@ LINE_STYLES = ("-", "--", ":", "-.")
 
 def draw_comparison(measurements: Sequence[Measurement], profile: Path, accuracy: Path) -> None:
     """Draw both figures into files."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         performance_profile(measurements).savefig(profile)
         work_precision_diagram(measurements).savefig(accuracy)
 

@@ -13,7 +13,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Column, Table
 
 from problems.conic import TOLERANCE
@@ -22,7 +21,7 @@ from problems.solvers.adapter import SolverAdapter
 from sato.atomic import replace_atomically
 from sato.compare.measure import Measurement, SolveOutcome, measure_solvers
 from sato.compare.plan import ALL_TAKES, DEFAULT_SIZES, ComparisonPlan, format_tolerance
-from sato.console import progress_bar
+from sato.console import TextConsole, progress_bar
 
 MISSING = "–"
 PIPE_WIDTH = 140
@@ -31,7 +30,7 @@ FILES = ("accuracy.png", "machine.json", "measurements.csv", "profile.png")
 
 def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
     """Compare solvers, print the tables, write everything into a folder, and return violations."""
-    machine, console = describe_machine(plan.solvers), Console(highlight=False, markup=False)
+    machine, console = describe_machine(plan.solvers), TextConsole(highlight=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH  # a file or a pipe has no width to which tables must be fitted
     console.print(
@@ -94,7 +93,7 @@ def write_comparison(
 
 
 def print_comparison(
-    plan: ComparisonPlan, measurements: Sequence[Measurement], console: Console
+    plan: ComparisonPlan, measurements: Sequence[Measurement], console: TextConsole
 ) -> None:
     """Print a table for each family."""
     at = min((t for t in plan.tolerances if t >= TOLERANCE), default=plan.tolerances[0])

@@ -8,14 +8,15 @@ other, it does half of what keeps both clear for some time if they fly on, which
 
 from math import atan2, cos, pi, sin, sqrt
 
-import numba
 import numpy as np
+
+from problems.kernels import compiled
 
 SPEED_SIDES = 8  # of the polygon of speeds
 HALVINGS = 3  # of the time for which others are to be passed
 
 
-@numba.njit(cache=True)
+@compiled()
 def avoid_all(u, v, others, start, keep_out, rules, max_speed, most, planes, changed):
     """Let every agent avoid those that it tracks, also while its velocity still changes.
 
@@ -44,7 +45,7 @@ def avoid_all(u, v, others, start, keep_out, rules, max_speed, most, planes, cha
             u[i, 0], u[i, 1] = w[0], w[1]
 
 
-@numba.njit(cache=True)
+@compiled()
 def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     """Replace a velocity by the closest one with which the agent passes all others.
 
@@ -92,7 +93,7 @@ def avoid_collisions(u, v, others, count, keep_out, rules, max_speed, planes):
     return True
 
 
-@numba.njit(cache=True)
+@compiled()
 def max_approach_speed(distance, keep_out, rules):
     """Return the largest speed of one of two agents towards the other [m/s].
 
@@ -104,7 +105,7 @@ def max_approach_speed(distance, keep_out, rules):
     return sqrt(rules.braking * gap) if gap > 0 else 2 * gap
 
 
-@numba.njit(cache=True)
+@compiled()
 def limit_approach(u, others, count, keep_out, rules, planes):
     """Project a velocity onto those that approach no other agent too fast.
 
@@ -134,7 +135,7 @@ def limit_approach(u, others, count, keep_out, rules, planes):
     return changed
 
 
-@numba.njit(cache=True)
+@compiled()
 def _bound_approach(others, count, keep_out, rules, least, planes):
     # Directions towards the others, and the largest speed in each.
     for k in range(count):
@@ -146,7 +147,7 @@ def _bound_approach(others, count, keep_out, rules, least, planes):
             plane[0], plane[1], plane[2] = x / d, y / d, most
 
 
-@numba.njit(cache=True)
+@compiled()
 def _share_avoidance(v, other, radius, horizon, plane):
     """Make the half-plane of velocities that do half of what avoids another in some time.
 
@@ -175,7 +176,7 @@ def _share_avoidance(v, other, radius, horizon, plane):
     plane[2] = -(n_x * v[0] + n_y * v[1] + change / 2)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _holds(x, y, planes, rows):
     for k in range(rows):
         if planes[k, 0] * x + planes[k, 1] * y > planes[k, 2] + 1e-12:
@@ -183,7 +184,7 @@ def _holds(x, y, planes, rows):
     return True
 
 
-@numba.njit(cache=True)
+@compiled()
 def _project(u_x, u_y, planes, rows):
     # Returns the closest velocity in the half-planes, and whether there is one. Half-planes
     # are added one by one: where the closest velocity so far is outside the next one, the new

@@ -6,11 +6,12 @@ taken, if it is at most 90° from the command [Lusk2020, eq. 11].
 
 from math import asin, atan2, cos, pi, sin, sqrt
 
-import numba
 import numpy as np
 
+from problems.kernels import compiled
 
-@numba.njit(cache=True)
+
+@compiled()
 def turn_out_of_sectors(u, others, start, keep_out, rules, changed):
     """Turn the velocities of all agents, by `leave_sectors`.
 
@@ -28,7 +29,7 @@ def turn_out_of_sectors(u, others, start, keep_out, rules, changed):
         changed[i] = leave_sectors(u[i], near, count, keep_out, rules, buffer)
 
 
-@numba.njit(cache=True)
+@compiled()
 def leave_sectors(u, others, count, keep_out, rules, buffer):
     """Turn a velocity, or stop it, so that it points at no other agent.
 
@@ -57,7 +58,7 @@ def leave_sectors(u, others, count, keep_out, rules, buffer):
     return True
 
 
-@numba.njit(cache=True)
+@compiled()
 def _forbidden_sectors(others, count, keep_out, rules, center, half):
     # Directions that pass within the keep-out distance of a body at rest.
     sectors = 0
@@ -70,12 +71,12 @@ def _forbidden_sectors(others, count, keep_out, rules, center, half):
     return sectors
 
 
-@numba.njit(cache=True)
+@compiled()
 def _wrap_angle(angle):
     return (angle + pi) % (2 * pi) - pi
 
 
-@numba.njit(cache=True)
+@compiled()
 def _is_forbidden(heading, center, half, sectors):
     for k in range(sectors):
         if abs(_wrap_angle(heading - center[k])) < half[k] - 1e-9:
@@ -83,7 +84,7 @@ def _is_forbidden(heading, center, half, sectors):
     return False
 
 
-@numba.njit(cache=True)
+@compiled()
 def _smallest_turn(heading, center, half, sectors, rules):
     # Candidates are the edges of sectors that lie in no other sector; 2π where there is none.
     best, least = 2 * pi, np.inf

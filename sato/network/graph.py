@@ -8,11 +8,11 @@ import numpy as np
 import scipy
 from annotated_types import Gt
 from jaxtyping import Bool, Float, Int
-from numba import njit
 from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_INFINITE, MAY_BE_NAN, checked
 from dynamics.inputs import InputError
+from problems.kernels import compiled
 
 ROUNDING = 1e-9  # relative, of the radius in which neighbors are looked for
 FAR = 2**30  # hops between two components
@@ -196,7 +196,7 @@ def canonicalize_labels(labels: Int[Array, " n"]) -> Int[Array, " n"]:
     return numbers
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _count_hops(first, neighbor, alive, hops):
     # In each round all agents pass on, as bits, the numbers of those that they have heard of last.

@@ -12,9 +12,9 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Int
-from numba import njit
 from numpy import ndarray as Array
 
+from problems.kernels import compiled
 from sato.network.encoding import ECCENTRICITY, HEADER
 from sato.network.graph import CommunicationGraph
 
@@ -122,7 +122,7 @@ def _draw_weights(count: int) -> Int[Array, " count"]:
     return np.random.default_rng(count).integers(-(2**63), 2**63 - 1, count)
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _pass_on(hops, rounds, made, size, speaks, payload):
     for j in range(len(rounds)):
@@ -133,7 +133,7 @@ def _pass_on(hops, rounds, made, size, speaks, payload):
                 payload[j] += size[a]
 
 
-@njit(cache=True)
+@compiled()
 @no_type_check
 def _mark_changes(hops, rounds, agents, changed, first, speaks):
     latest = np.empty(speaks.shape[1], dtype=np.int64)

@@ -6,15 +6,18 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager, suppress
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import Any
 
+from sato.processes.envelope import WORLD
+from sato.processes.membership import KEY_FILE, create_key, is_running, write_private
 from sato.processes.messages import Fault, Hearing
-from sato.processes.network import Connection, find_port, load_zenoh
+from sato.processes.network import USER, Connection, find_port, load_zenoh
 from sato.processes.vehicle_process import run_vehicle
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
-from sato.workers import make_context
+from sato.workers import check_guard, make_context
 
 MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
@@ -34,17 +37,22 @@ class Fleet(AbstractContextManager["Fleet"]):
     A process that the user starts for a vehicle, by `sato vehicle`, is one of them.
     """
 
-    def __init__(self, port: int | None = None) -> None:
-        """Listen for vehicles at a port, or any that is free; refuse one that is in use."""
+    def __init__(self, mission: str, vehicles: int, port: int | None = None) -> None:
+        """Listen for the vehicles of a mission at a port, or any; refuse one that is in use."""
         load_zenoh()
         self.port = find_port(port)
+        self._folder = TemporaryDirectory(prefix="sato-flight-")
+        member = create_key(Path(self._folder.name), mission, self.port, vehicles)
+        self.key_file = Path(self._folder.name, KEY_FILE)
         self.processes: dict[int, Any] = {}  # those that were started here
         self.ids: dict[int, int] = {}  # of all that were heard, to the operating system
         self.new: list[int] = []  # that ask for a mission
-        self.gone: set[int] = set()  # that have ended, and of which nobody has taken note
+        self._replaced: set[int] = set()  # whose processes were started again
+        self._looks_at = 0.0  # time at which it looks again whether processes have ended [s]
         self._received: deque[tuple[int, Any]] = deque()  # while others were started
-        self._connection = Connection(self.port)
-        self._connection.watch("*", self._note_end)
+        users = Path(self._folder.name, "users")
+        write_private(users, f"{USER}:{member.key.hex()}\n")
+        self._connection = Connection(member, WORLD, 1, users)
 
     def __exit__(self, *error: object) -> None:
         """End all processes, also those that are paused."""
@@ -53,10 +61,7 @@ class Fleet(AbstractContextManager["Fleet"]):
         for process in self.processes.values():
             process.join()
         self._connection.close()
-
-    def _note_end(self, number: str) -> None:
-        if number.isdecimal():
-            self.gone.add(int(number))
+        self._folder.cleanup()
 
     def start(self, numbers: Iterable[int]) -> None:
         """Start the processes of some vehicles, and wait until all are there.
@@ -64,10 +69,13 @@ class Fleet(AbstractContextManager["Fleet"]):
         Refuse those for which there is no memory; a `VehicleError` says that one has ended early.
         """
         each = list(numbers)
+        check_guard()
         check_memory(len(each))
         context = _context()
         for i in each:
-            process = context.Process(target=run_vehicle, args=(self.port, i), daemon=True)
+            process = context.Process(
+                target=run_vehicle, args=(self.key_file, i, True), daemon=True
+            )
             process.start()
             self.processes[i] = process
         until = monotonic() + START_TIME
@@ -93,9 +101,13 @@ class Fleet(AbstractContextManager["Fleet"]):
         return found
 
     def take_gone(self) -> list[int]:
-        """Return the vehicles that have ended, each once."""
-        found = sorted(self.gone)
-        self.gone.difference_update(found)
+        """Return the vehicles whose processes have ended, each once; look from time to time."""
+        if monotonic() < self._looks_at:
+            return []
+        self._looks_at = monotonic() + LOOK_INTERVAL
+        ended = {i for i, process in self.ids.items() if not is_running(process)}
+        self.ids = {i: process for i, process in self.ids.items() if i not in ended}
+        found, self._replaced = sorted(ended | self._replaced), set()
         return found
 
     def send(self, number: int, value: Any) -> None:
@@ -117,16 +129,16 @@ class Fleet(AbstractContextManager["Fleet"]):
         received = self._connection.receive(timeout)
         if received is None:
             return None
-        with suppress(ValueError):
-            number, value = int(received[0]), received[1]
-            if isinstance(value, Hearing):
-                self.new.append(number)
-                self.ids[number] = value.process
-                return None
-            if isinstance(value, Fault):
-                raise VehicleError(f"vehicle {number}: {value.text}")
-            return number, value
-        return None
+        number, value = received
+        if isinstance(value, Hearing):
+            self.new.append(number)
+            if self.ids.get(number, value.process) != value.process:
+                self._replaced.add(number)  # before its end was seen
+            self.ids[number] = value.process
+            return None
+        if isinstance(value, Fault):
+            raise VehicleError(f"vehicle {number}: {value.text}")
+        return number, value
 
 
 def check_memory(count: int) -> None:

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
@@ -61,7 +62,8 @@ def as_processes(
     ) -> Iterator[ReconfigurationFrame]:
         check_vehicles(drawn)
         check_link(drawn, mode)
-        with Fleet(port) as fleet:
+        told = f"{version('sato-swarm')} {seed} {scenario}"
+        with Fleet(told, len(drawn.initial_states), port) as fleet:
             own = World(drawn, rng), fleet, scenario, seed
             flight = LockStep(*own) if mode == "lock-step" else FreeRunning(*own, speed)
             for k, frame in enumerate(flight.fly()):
@@ -98,5 +100,5 @@ def check_link(mission: Reconfiguration, mode: Mode) -> None:
 def print_processes(fleet: Fleet) -> None:
     """Print the numbers of the processes to the operating system, and the port of the world."""
     each = ", ".join(f"{i}: {fleet.ids[i]}" for i in sorted(fleet.ids))
-    text = f"processes of the vehicles: {each}; the world listens at port {fleet.port}"
+    text = f"processes of the vehicles: {each}; the key of the flight is in {fleet.key_file}"
     print(text, file=sys.stderr)

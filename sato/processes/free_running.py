@@ -116,6 +116,8 @@ class FreeRunning:
         if not world.alive[number]:
             return
         if isinstance(value, FreePacket) and value.until > world.step_index:
+            if value.sender != number:
+                return
             self._packets.send(number, value)
         elif isinstance(value, Held):
             if value.instant == world.step_index:

@@ -39,7 +39,7 @@ class FreeVehicle:
         self._asked: int | None = None  # instant from which on it intends to fly what is new
         self._has_consent = False
 
-    def run(self, receive: Callable[[float], tuple[str, Any] | None]) -> None:
+    def run(self, receive: Callable[[float], tuple[int, Any] | None]) -> None:
         """Act until the world is gone; what others send is received within a time [s]."""
         due = monotonic()
         while True:

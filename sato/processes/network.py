@@ -1,17 +1,21 @@
 """Connections of the world and the vehicles, by Zenoh over the loopback interface."""
 
+import json
 import socket
-from collections.abc import Callable
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from sato.processes.codec import CodecError, decode, encode
+from sato.processes.envelope import MAX_SIZE, WORLD, Envelopes
+from sato.processes.membership import Membership
 from sato.scenario.errors import InputError
 
 INSTALL = "pip install 'sato-swarm[network]'"
 HOST = "127.0.0.1"
 LEASE = 24 * 3_600_000  # time for which a paused process is waited for [ms]
-WORLD = "world"
+MAX_WAITING = 10_000  # messages that are received and not yet read
+USER = "sato"  # name under which all of a flight are let in
 
 
 def load_zenoh() -> Any:
@@ -40,49 +44,62 @@ class Connection:
     """Connection of the world, or of a vehicle, which hears what is addressed to it.
 
     A vehicle is heard by the world alone, which passes its messages on to those within hearing.
+    Those who do not know the key are not let in, and messages without its tag are dropped.
+
+    Args:
+        member: Key of the flight, and its port.
+        number: Number of the vehicle; that of the world, which listens.
+        incarnation: Number of times that the process of the vehicle has been started.
+        users: File of the passwords of those who are let in, of the world.
     """
 
-    def __init__(self, port: int, number: int | None = None) -> None:
-        """Open a connection: of the world, which listens, or of the vehicle of a number."""
-        zenoh, is_world = load_zenoh(), number is None
-        config, own = zenoh.Config(), WORLD if is_world else str(number)
+    def __init__(
+        self, member: Membership, number: int, incarnation: int, users: Path | None = None
+    ) -> None:
+        zenoh, is_world, port = load_zenoh(), number == WORLD, member.port
+        config = zenoh.Config()
         for key, value in {
-            "mode": '"peer"' if is_world else '"client"',
-            "scouting/multicast/enabled": "false",
-            "scouting/gossip/enabled": "false",
-            "listen/endpoints" if is_world else "connect/endpoints": f'["tcp/{HOST}:{port}"]',
-            "connect/timeout_ms": "2000",
-            "transport/link/tx/lease": str(LEASE),
+            "mode": "peer" if is_world else "client",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints" if is_world else "connect/endpoints": [f"tcp/{HOST}:{port}"],
+            "connect/timeout_ms": 2000,
+            "transport/link/tx/lease": LEASE,
+            "transport/link/rx/max_message_size": MAX_SIZE,
+            "transport/auth/usrpwd/user": USER,
+            "transport/auth/usrpwd/password": member.key.hex(),
+            "transport/auth/usrpwd/dictionary_file": None if users is None else str(users),
         }.items():
-            config.insert_json5(key, value)
+            if value is not None:
+                config.insert_json5(key, json.dumps(value))
         zenoh.init_log_from_env_or("off")
         try:
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            what = "cannot be listened at" if is_world else "nobody listens there"
-            raise InputError("", f"--port {port}: {what} ({error})") from error
+            what = "cannot be listened at" if is_world else "nobody of this flight listens there"
+            raise InputError("", f"port {port}: {what} ({error})") from error
+        heard = range(member.vehicles) if is_world else (WORLD,)
+        self._envelopes = Envelopes(member.key, number, incarnation, heard)
         self._options = {"congestion_control": zenoh.CongestionControl.BLOCK, "express": True}
-        self._received: SimpleQueue[tuple[str, bytes]] = SimpleQueue()
-        self._prefix, self._own, self._gone = f"sato/{port}", own, zenoh.SampleKind.DELETE
-        here = f"{self._prefix}/here/{own}"
-        self.is_taken = any(True for _ in self._session.liveliness().get(here))
-        self._token = self._session.liveliness().declare_token(here)
-        incoming = f"{self._prefix}/to/{own}/from/*"
+        self._received: SimpleQueue[tuple[int, bytes]] = SimpleQueue()
+        self._prefix = f"sato/{port}/to"
+        incoming = f"{self._prefix}/{number}"
         self._session.declare_subscriber(incoming, zenoh.handlers.Callback(self._receive))
 
     def _receive(self, sample: Any) -> None:
-        self._received.put((str(sample.key_expr).split("/")[-1], sample.payload.to_bytes()))
+        opened = self._envelopes.open(sample.payload.to_bytes())
+        if opened is not None and self._received.qsize() < MAX_WAITING:
+            self._received.put(opened)
 
-    def send(self, to: int | str, value: Any) -> None:
+    def send(self, to: int, value: Any) -> None:
         """Send a value to a vehicle, or to the world."""
         self.send_encoded(to, encode(value))
 
-    def send_encoded(self, to: int | str, data: bytes) -> None:
+    def send_encoded(self, to: int, data: bytes) -> None:
         """Send a value that is encoded already."""
-        key = f"{self._prefix}/to/{to}/from/{self._own}"
-        self._session.put(key, data, **self._options)
+        self._session.put(f"{self._prefix}/{to}", self._envelopes.seal(to, data), **self._options)
 
-    def receive(self, timeout: float | None) -> tuple[str, Any] | None:
+    def receive(self, timeout: float) -> tuple[int, Any] | None:
         """Return the sender and the next value; None if there is none within a time [s].
 
         Anything that is no message is dropped.
@@ -95,19 +112,6 @@ class Connection:
             return sender, decode(data)
         except CodecError:
             return None
-
-    def watch(self, others: str, when_gone: Callable[[str], object]) -> None:
-        """Call a function, in another thread, with the name of each of some others that is gone.
-
-        The others are the number of a vehicle, "*" for all, or the world.
-        """
-
-        def change(sample: Any) -> None:
-            if sample.kind == self._gone:
-                when_gone(str(sample.key_expr).split("/")[-1])
-
-        liveliness = self._session.liveliness()
-        liveliness.declare_subscriber(f"{self._prefix}/here/{others}", change, history=True)
 
     def close(self) -> None:
         """Close the connection."""

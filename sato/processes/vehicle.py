@@ -14,7 +14,7 @@ from sato.reconfiguration.halfway_stages import Bending, Meeting
 from sato.reconfiguration.leg import longest_leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.stopping import Commitment
-from sato.scenario.file import parse
+from sato.scenario.file import parse_embedded
 
 
 class Vehicle:
@@ -22,7 +22,7 @@ class Vehicle:
 
     def __init__(self, number: int, briefing: Briefing) -> None:
         """Begin, with a mission as text."""
-        mission: Any = parse(briefing.scenario)
+        mission: Any = parse_embedded(briefing.scenario)
         mission = mission.draw(np.random.default_rng(briefing.seed))
         self.mission: Reconfiguration = mission
         self.number, self.leg = number, briefing.leg

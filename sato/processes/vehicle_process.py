@@ -3,37 +3,41 @@
 import os
 import signal
 import time
+from contextlib import closing
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from sato.processes.codec import decode, encode
+from sato.processes.envelope import WORLD
 from sato.processes.free_vehicle import FreeVehicle
+from sato.processes.membership import Incarnation, Membership, is_running, read_key
 from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply
-from sato.processes.network import WORLD, Connection
+from sato.processes.network import Connection
 from sato.processes.vehicle import Vehicle
-from sato.scenario.errors import InputError
 
 PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
 
 
-def run_vehicle(port: int, number: int) -> None:
-    """Run the process of one vehicle, until the world is gone.
+def run_vehicle(key_file: Path, number: int, is_child: bool = False) -> None:
+    """Run the process of one vehicle, until the flight is over.
 
     Args:
-        port: Port at which the world listens.
+        key_file: File of the key of the flight.
         number: Number of the vehicle.
+        is_child: Ignore Ctrl-C, which is for the world that has started it, and ends it.
 
     Raises:
-        InputError: There is no world, or the vehicle is there already.
+        InputError: There is no such flight or vehicle, or the vehicle is there already.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the world, which ends all others
-    connection = Connection(port, number)
-    if connection.is_taken:
-        raise InputError("", f"the process of vehicle {number} is there already")
-    connection.watch(WORLD, lambda _: os._exit(0))
-    with threadpool_limits(1, user_api="blas"):
+    if is_child:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    member = read_key(key_file, number)
+    incarnation = Incarnation(key_file, number)
+    connection = VehicleConnection(member, number, incarnation.number, key_file)
+    with threadpool_limits(1, user_api="blas"), closing(connection):
         try:
             briefing = _hear_mission(connection, number)
             vehicle = Vehicle(number, briefing)
@@ -44,10 +48,26 @@ def run_vehicle(port: int, number: int) -> None:
         except Exception as error:  # the world ends the flight, and tells the reason
             connection.send(WORLD, Fault(type(error).__name__, str(error)))
             while True:
-                connection.receive(timeout=None)
+                connection.receive(timeout=PATIENCE)
 
 
-def _hear_mission(connection: Connection, number: int) -> Briefing:
+class VehicleConnection(Connection):
+    """Connection of a vehicle, whose process ends with the flight."""
+
+    def __init__(self, member: Membership, number: int, incarnation: int, key_file: Path) -> None:
+        super().__init__(member, number, incarnation)
+        self._world, self._key_file, self._looks_at = member.world, key_file, 0.0
+
+    def receive(self, timeout: float) -> tuple[int, Any] | None:
+        """Return the sender and the next value, as `Connection` does."""
+        if time.monotonic() > self._looks_at:
+            self._looks_at = time.monotonic() + PATIENCE
+            if not (self._key_file.exists() and is_running(self._world)):
+                os._exit(0)
+        return super().receive(timeout)
+
+
+def _hear_mission(connection: VehicleConnection, number: int) -> Briefing:
     """Say that the vehicle is there, until the world answers."""
     while True:
         connection.send(WORLD, Hearing(number, os.getpid()))
@@ -61,14 +81,14 @@ def _hear_mission(connection: Connection, number: int) -> Briefing:
 class LockStepVehicle:
     """Vehicle that acts when it is called."""
 
-    def __init__(self, vehicle: Vehicle, connection: Connection) -> None:
+    def __init__(self, vehicle: Vehicle, connection: VehicleConnection) -> None:
         self.vehicle, self.connection = vehicle, connection
         self._before: Any = vehicle.agent.memory
 
     def run(self) -> None:
         """Act in every round of the network."""
         while True:
-            received = self.connection.receive(timeout=None)
+            received = self.connection.receive(timeout=PATIENCE)
             if received is not None and isinstance(received[1], Call):
                 self.connection.send(WORLD, self._act(received[1]))
 

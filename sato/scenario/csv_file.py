@@ -17,6 +17,7 @@ from numpy import ndarray as Array
 
 from dynamics.labels import ID, OTHER_AXES, Units, knows_name, match_columns, sort_rows
 from dynamics.units import SUFFIXES
+from sato import files
 from sato.scenario.errors import InputError, join_names
 
 NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf)", re.IGNORECASE | re.ASCII)
@@ -96,7 +97,7 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     A header is a first line without a number, or a comment above the rows that names columns.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = files.read_text(path)
     except FileNotFoundError as error:
         raise ValueError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from dynamics.callbacks import LIBRARY, Callback, as_kind
 from dynamics.doors import checked
+from sato import files
 from sato.scenario.definition import Definition, In, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
 from sato.scenario.overrides import Setting, list_settings, override, write_value
@@ -132,7 +133,9 @@ def _read_text(name: str | Path) -> tuple[str, Path]:
 def read_text(file: Path) -> str:
     """Read a file of text; a `ScenarioError` refuses any other."""
     try:
-        return file.read_text(encoding="utf-8-sig")
+        return files.read_text(file)
+    except InputError as error:
+        raise ScenarioError(str(error)) from error
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise ScenarioError(f"{file}: cannot be read: {reason}") from error
@@ -164,11 +167,33 @@ def parse(
         raise ScenarioError(f"{source}: {error}") from error
 
 
+def parse_embedded(text: str) -> Mission:
+    """Read the scenario in a run file, which must not name files or fonts of this computer."""
+    data = load_toml(text, "scenario")
+    if address := find_file(data):
+        raise ScenarioError(f"scenario: {address}: names a file, and that of a run must not")
+    return parse(text)
+
+
+def find_file(value: Any, address: str = "") -> str:
+    """Find the address of a key of tables or lists that names a file or a font; "" if none does."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, part in parts:
+        if str(key).rpartition(".")[2] in ("file", "font"):
+            return f"{address}{key}"
+        if isinstance(part, dict | list) and (found := find_file(part, f"{address}{key}.")):
+            return found
+    return ""
+
+
 @checked
 def load_toml(text: str, source: str) -> dict[str, Any]:
     """Read TOML; what has no name is named after its source."""
     try:
+        files.check_text("the text", len(text))
         data = tomllib.loads(text.removeprefix("\ufeff"))
+    except InputError as error:
+        raise ScenarioError(f"{source}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
     data.setdefault("name", Path(source).stem)

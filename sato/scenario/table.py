@@ -21,6 +21,7 @@ from sato.scenario.definition import (
 )
 from sato.scenario.errors import InputError, closest_name, format_value, join_names
 
+MANY_TABLES = 10_000  # of one kind, such as legs
 OWN = "own"  # kind of a value of the user's own
 _SI = {unit.quantity: suffix for suffix, unit in SUFFIXES.items() if unit.factor == 1.0}
 RENAMED = {  # keys of version 0.1
@@ -215,6 +216,8 @@ def _read_value(field: Field, value: Any) -> Any:
     if not field.variants:
         return value
     if field.is_list and isinstance(value, list):
+        if len(value) > MANY_TABLES:
+            raise InputError("", f"has {len(value):,} tables; {MANY_TABLES:,} or fewer would do")
         return map_numbered(lambda part: _read_definition(field, part), value)
     found = _read_definition(field, value)
     return (found,) if field.is_list else found

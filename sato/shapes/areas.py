@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 from pydantic import Field
 
 from dynamics.units import Unit
+from sato.files import check_regular, check_size
 from sato.scenario.definition import Amount, Axes, Matrix
 from sato.scenario.errors import InputError
 from sato.shapes.ordering import farthest_point_sampling, golden_ratio_order
@@ -28,6 +29,7 @@ CANDIDATES_PER_TARGET = 40  # and at least this many per target
 COARSE_CELLS = 200  # rows and columns of the grid that estimates the area
 LEAST_CONTRAST = 0.1  # of a picture: less is noise, and no shape
 WHITE_IS_ZERO = 262  # tag of TIFF with value 0
+PIXEL_BYTES = 10  # of a picture as it is read, with its transparency and its gray
 MAX_GRID_CELLS = 4_000_000  # cells of the bounding box, a limit for a sliver across it
 
 
@@ -137,7 +139,9 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
     from PIL import Image, ImageOps
 
     try:
+        check_regular(path)
         with Image.open(path) as image:
+            check_size(path, PIXEL_BYTES * image.width * image.height)
             upright = ImageOps.exif_transpose(image)
             is_deep = upright.mode[0] in "IF"  # more than 8 bits of gray, which Pillow would clip
             if not is_deep:
@@ -149,14 +153,14 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
             is_white = is_deep and getattr(image, "tag_v2", {}).get(WHITE_IS_ZERO) == 0
             if not is_deep and np.isin(gray, (0, 255)).all():  # even if all are the same
                 return np.asarray(gray == 0)
-            return _is_dark(gray.astype(float) * (-1 if is_white else 1))
+            return _is_dark(-gray.astype(float) if is_white else gray)
     except FileNotFoundError as error:
         raise ValueError(f"there is no picture {path}") from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise ValueError(f"{path} cannot be read as a picture: {error}") from error
 
 
-def _is_dark(gray: Float[Array, "rows columns"]) -> Bool[Array, "rows columns"]:
+def _is_dark(gray: Shaped[Array, "rows columns"]) -> Bool[Array, "rows columns"]:
     if not np.isfinite(gray).all():
         raise ValueError("it has pixels that are not finite")
     low, high = float(gray.min()), float(gray.max())
@@ -186,6 +190,7 @@ def _find_font_file(font: str, text: str) -> str:
     elif not Path(font).is_file():
         raise ValueError(f"there is no font file {font}")
     try:
+        check_size(path, check_regular(Path(path)))
         known = FT2Font(path).get_charmap()
     except (RuntimeError, OSError) as error:
         raise ValueError(f"the font file {path} cannot be read: {error}") from error

@@ -1,0 +1,96 @@
+"""Membership of a flight over processes: who has its key may speak.
+
+The key is in a file that its owner alone can read, in a new folder for each flight. Beside it is a
+file for each vehicle, with the number of times that its process has been started.
+"""
+
+import fcntl
+import json
+import os
+import secrets
+from hashlib import blake2b
+from pathlib import Path
+from typing import NamedTuple
+
+from sato.scenario.errors import InputError
+
+KEY_FILE = "key"
+
+
+class Membership(NamedTuple):
+    """Key of a flight, and the place of its world, as a process is told."""
+
+    key: bytes
+    port: int
+    vehicles: int
+    world: int  # its number to the operating system
+
+
+def create_key(folder: Path, mission: str, port: int, vehicles: int) -> Membership:
+    """Write the key file of a new flight of a mission into a folder; the world calls this."""
+    key = blake2b(mission.encode(), key=secrets.token_bytes(32), digest_size=32).digest()
+    member = Membership(key, port, vehicles, os.getpid())
+    text = json.dumps(member._replace(key=key.hex())._asdict())  # type: ignore[arg-type]
+    write_private(folder / KEY_FILE, text)
+    return member
+
+
+def read_key(file: Path, number: int) -> Membership:
+    """Read a key file, for the vehicle of a number; an `InputError` refuses one of others."""
+    try:
+        with file.open(encoding="ascii") as opened:
+            status = os.fstat(opened.fileno())
+            if status.st_mode & 0o077 or status.st_uid != os.getuid():
+                raise InputError("--key-file", f"{file} can be read by others; mode 600 would do")
+            known = json.load(opened)
+        member = Membership(bytes.fromhex(known["key"]), *map(int, [*known.values()][1:]))
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("--key-file", f"{file} is no key of a flight that goes on") from error
+    if not 0 <= number < member.vehicles:
+        reason = f"there is no vehicle {number}; they are 0 to {member.vehicles - 1}"
+        raise InputError("NUMBER", reason)
+    return member
+
+
+class Incarnation:
+    """Number of times that the process of a vehicle has been started, this one included.
+
+    It is on the disk before anything is sent, so that a vehicle that starts again is believed, and
+    none is there twice: an `InputError` says that one is.
+    """
+
+    def __init__(self, key_file: Path, number: int) -> None:
+        self._file = os.open(key_file.parent / str(number), os.O_RDWR | os.O_CREAT, 0o600)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            reason = f"the process of vehicle {number} is there already"
+            raise InputError("", reason) from error
+        before = os.read(self._file, 20)
+        self.number = int(before or b"0") + 1
+        os.lseek(self._file, 0, os.SEEK_SET)
+        os.write(self._file, str(self.number).encode())
+        os.fsync(self._file)
+
+
+def is_running(process: int) -> bool:
+    """Tell whether there is a process of a number, which has not ended."""
+    try:
+        os.kill(process, 0)
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    except (OSError, IndexError):  # of a system without this file
+        return True
+    return state not in "ZX"
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a new file that its owner alone can read."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(file, "w", encoding="ascii") as opened:
+        opened.write(text)

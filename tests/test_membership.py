@@ -1,0 +1,139 @@
+"""Who may speak in a flight over processes: those who have its key, each once for each message."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sato.processes.envelope import MAX_SIZE, OVERHEAD, VERSION, WORLD, Envelopes
+from sato.processes.fleet import Fleet
+from sato.processes.membership import KEY_FILE, Incarnation, create_key, is_running, read_key
+from sato.processes.network import load_zenoh
+from sato.scenario.errors import InputError
+
+KEY = bytes(range(32))
+
+
+def world(key=KEY, vehicles=3):
+    return Envelopes(key, WORLD, 1, range(vehicles))
+
+
+def vehicle(number=0, key=KEY, incarnation=1):
+    return Envelopes(key, number, incarnation, [WORLD])
+
+
+@given(content=st.binary(max_size=300), number=st.integers(0, 2))
+def test_envelope_gives_back_its_sender_and_content_once(content, number):
+    here, data = world(), vehicle(number).seal(WORLD, content)
+    assert len(data) == len(content) + OVERHEAD and OVERHEAD <= 40
+    assert here.open(data) == (number, content)
+    assert here.open(data) is None
+
+
+@settings(max_examples=300)
+@given(content=st.binary(max_size=60), data=st.data())
+def test_envelope_that_was_changed_is_no_message(content, data):
+    sealed = bytearray(vehicle().seal(WORLD, content))
+    place = data.draw(st.integers(0, len(sealed) - 1))
+    sealed[place] ^= data.draw(st.integers(1, 255))
+    assert world().open(bytes(sealed)) is None
+
+
+@given(data=st.binary(max_size=200))
+def test_bytes_that_nobody_sealed_are_no_message(data):
+    assert world().open(data) is None
+
+
+def test_envelopes_of_others_are_no_messages():
+    here = world()
+    assert here.open(vehicle(key=bytes(32)).seal(WORLD, b"x")) is None  # of another flight
+    assert here.open(vehicle().seal(1, b"x")) is None  # to somebody else
+    assert here.open(vehicle(3).seal(WORLD, b"x")) is None  # of a vehicle that is not there
+    assert vehicle(1).open(vehicle(0).seal(1, b"x")) is None  # past the world
+    assert vehicle(1).open(world().seal(1, b"x")) == (WORLD, b"x")
+    old = bytearray(vehicle().seal(WORLD, b"x"))
+    old[0] = VERSION + 1
+    assert here.open(bytes(old)) is None
+    with pytest.raises(ValueError, match="a message of 8,000,000 bytes is more than"):
+        vehicle().seal(WORLD, bytes(MAX_SIZE))
+    assert here.open(bytes(MAX_SIZE + 1)) is None
+
+
+def test_vehicle_that_starts_again_is_believed_and_its_past_is_not():
+    here, first = world(), vehicle(incarnation=1)
+    past = [first.seal(WORLD, bytes([k])) for k in range(3)]
+    assert here.open(past[1]) and here.open(past[0]) is None
+    assert here.open(vehicle(incarnation=2).seal(WORLD, b"again")) == (0, b"again")
+    assert here.open(past[2]) is None
+
+
+def test_key_is_read_by_its_owner_and_for_vehicles_of_the_flight(tmp_path):
+    member, file = create_key(tmp_path, "mission", 4711, 2), tmp_path / KEY_FILE
+    assert read_key(file, 1) == member and file.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(InputError, match="NUMBER: there is no vehicle 7; they are 0 to 1"):
+        read_key(file, 7)
+    with pytest.raises(InputError, match="is no key of a flight that goes on"):
+        read_key(tmp_path / "none", 0)
+    for text in ("", "[]", json.dumps({"key": "xy"})):
+        (tmp_path / "bad").write_text(text)
+        (tmp_path / "bad").chmod(0o600)
+        with pytest.raises(InputError, match="is no key of a flight"):
+            read_key(tmp_path / "bad", 0)
+    file.chmod(0o644)
+    with pytest.raises(InputError, match="can be read by others; mode 600 would do"):
+        read_key(file, 0)
+
+
+def test_keys_of_two_flights_differ(tmp_path):
+    keys = set()
+    for n, mission in enumerate(("a", "a", "b")):
+        (tmp_path / str(n)).mkdir()
+        keys.add(create_key(tmp_path / str(n), mission, 1, 1).key)
+    assert len(keys) == 3
+
+
+def test_starts_of_a_vehicle_are_counted_and_it_is_there_once(tmp_path):
+    first = Incarnation(tmp_path / KEY_FILE, 3)
+    with pytest.raises(InputError, match="the process of vehicle 3 is there already"):
+        Incarnation(tmp_path / KEY_FILE, 3)
+    os.close(first._file)
+    assert (first.number, Incarnation(tmp_path / KEY_FILE, 3).number) == (1, 2)
+    assert Incarnation(tmp_path / KEY_FILE, 0).number == 1
+
+
+def test_process_that_has_ended_is_not_running():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    while is_running(process.pid):  # until it is a zombie
+        os.sched_yield()
+    process.wait()
+    assert not is_running(process.pid) and is_running(os.getpid()) and not is_running(2**70)
+
+
+def test_those_without_the_key_are_not_let_in():
+    zenoh = load_zenoh()
+    with Fleet("", 2) as fleet:
+        for password in (None, "guess"):
+            config = zenoh.Config()
+            settings = {"mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{fleet.port}"]}
+            settings |= {"connect/timeout_ms": 300, "scouting/multicast/enabled": False}
+            if password is not None:
+                settings |= {"transport/auth/usrpwd/user": "sato"}
+                settings |= {"transport/auth/usrpwd/password": password}
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
+            with pytest.raises(zenoh.ZError):
+                zenoh.open(config)
+        assert (fleet.key_file.parent.stat().st_mode & 0o777) == 0o700
+    assert not fleet.key_file.exists()
+
+
+def test_number_that_no_vehicle_has_is_told_at_once(tmp_path):
+    create_key(tmp_path, "mission", 4711, 2)
+    command = [sys.executable, "-m", "sato", "vehicle", "7", "--key-file", tmp_path / KEY_FILE]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == "sato: NUMBER: there is no vehicle 7; they are 0 to 1\n"
