@@ -278,7 +278,8 @@ def test_tables_of_a_campaign_are_plain(campaign, tmp_path, command):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("scenario", '["/etc/passwd"]'), ("scenario", '"x"'), ("trials", '"x"')]
+    ("key", "value"),
+    [("scenario", '["/etc/passwd"]'), ("scenario", '"x"'), ("trials", '"x"'), ("case", "1e308")],
 )
 def test_definition_of_a_campaign_names_no_file_and_is_checked(campaign, tmp_path, key, value):
     (text,) = (

@@ -67,7 +67,7 @@ def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
 
 
 def _as_cases(value: Any) -> dict[str, dict[str, Any]]:
-    return _convert_each((value or {}).items(), lambda table: dict(_flatten_tables(table)))
+    return _convert_each(_as_table(value).items(), lambda table: dict(_flatten_tables(table)))
 
 
 def _as_distributions(value: Any) -> dict[str, Distribution]:
@@ -82,11 +82,15 @@ def _convert_each(pairs: Iterable[tuple[str, Any]], convert: Any) -> dict[str, A
     return found
 
 
+def _as_table(value: Any) -> Mapping[str, Any]:
+    if not isinstance(value or {}, Mapping):
+        raise InputError("", f"must be a table, got {format_value(value)}")
+    return value or {}
+
+
 def _flatten_tables(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
     # "swarm.agents" may be a key in quotes, or a key in a table; a table with a kind is a value.
-    if not isinstance(value, Mapping):
-        raise InputError("", f"must be a table, got {format_value(value)}")
-    for key, part in value.items():
+    for key, part in _as_table(value).items():
         address = f"{head}{key}"
         if isinstance(part, Mapping) and not isinstance(part.get("kind"), str):
             yield from _flatten_tables(part, f"{address}.")
