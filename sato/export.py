@@ -87,7 +87,12 @@ def export(
 
         return write_recording(make_scene(), str(data.attrs["name"]), path)
     with replace_atomically(path) as new:
-        (_write_oem if format == "oem" else _write_csv)(data, new)
+        try:
+            (_write_oem if format == "oem" else _write_csv)(data, new)
+        except InputError:
+            raise
+        except (ValueError, ArithmeticError) as error:
+            raise InputError("", f"the epoch or the body of the run is damaged: {error}") from error
     return path
 
 

@@ -221,6 +221,19 @@ def test_many_tables_are_refused():
         sato.from_dict(data)
 
 
+def test_figures_that_lack_their_values_are_left_out(folder):
+    hide_in(folder, lambda f: f.__delitem__("rounds"))
+    assert call("plot", folder).exit_code == 0 and not (folder / "messages.png").exists()
+
+
+def test_damaged_epoch_is_told_where_it_is_asked_for(tmp_path):
+    overrides = ["swarm.agents=2", "leg.0.steps=20"]
+    folder = sato.run("orbit", overrides=overrides).save(tmp_path)
+    hide_in(folder, set_attribute("epoch", "[]"))
+    result = call("export", folder)
+    assert result.exit_code == 2 and "the epoch or the body of the run is damaged" in result.output
+
+
 def test_summary_of_another_run_is_not_paired(flown, folder, tmp_path):
     other = sato.run("crossing", seed=1).save(tmp_path / "other")
     (folder / "summary.json").write_text((other / "summary.json").read_text())
@@ -378,3 +391,12 @@ def test_damaged_files_end_in_a_verdict_or_a_sentence(flown, campaign, tmp_path,
         split = 2 if words[0] == "campaign" else 1
         rest = [word.format(out=tmp_path) for word in words[split:]]
         assert mutate_files.use([*words[:split], str(folder), *rest]) == "", told
+
+
+@pytest.mark.parametrize(
+    "cell", ["parameters = ''", "parameters = 7", "error = CAST(x'd0' AS TEXT)"]
+)
+def test_cells_of_a_campaign_that_are_damaged_are_shown_as_they_are(campaign, tmp_path, cell):
+    folder = copied(campaign, tmp_path, f"UPDATE runs SET exit = 'error', {cell}")
+    for words in (("table", folder, "--rows"), ("report", folder, "--out", tmp_path / "r.html")):
+        assert "fault" not in call("campaign", *words).output

@@ -3,6 +3,7 @@
 import json
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from shlex import quote
@@ -76,12 +77,18 @@ def _format_failures(table: CampaignTable) -> list[str]:
     head = ["row", "seed", "parameters", "exit", "error", "again"]
     cells = []
     for row, seed, parameters, exit, error in rows[:MAX_FAILURES]:
-        values = ", ".join(f"{key} = {value}" for key, value in json.loads(parameters).items())
+        values = _format_parameters(parameters)
         last = (error or "").strip().rpartition("\n")[2]
         trust = " --trust" if table.campaign.functions else ""
         again = f"sato campaign rerun {quote(str(table.folder.resolve()))} {row}{trust}"
         cells.append([str(row), str(seed), values, exit, last, again])
     return [*lines, _format_table(head, cells)] if rows else lines
+
+
+def _format_parameters(text: Any) -> str:
+    with suppress(ValueError, TypeError, AttributeError, RecursionError):
+        return ", ".join(f"{key} = {value}" for key, value in json.loads(text).items())
+    return str(text)  # of a damaged row
 
 
 def _format_definition(table: CampaignTable) -> str:

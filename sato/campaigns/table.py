@@ -76,6 +76,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         with describe_errors(self.path):
             options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
             self._connection = sqlite3.connect(address, **options)
+            self._connection.text_factory = lambda text: text.decode("utf-8", "replace")
             self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
             check_schema(self.path, self._connection)
             if not is_writer:

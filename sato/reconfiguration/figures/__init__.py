@@ -43,7 +43,7 @@ def make_figures(data: RunData, mission: Reconfiguration) -> FigureFactories:
     drawn = FIGURES | (PAIR_FIGURES if record.separations[0].minimum.piece >= 0 else {})
     if record.variables.chief is not None:
         drawn = drawn | ORBIT_FIGURES
-    if record.variables.received_bytes is not None:
+    if record.variables.received_bytes is not None and record.frames.rounds is not None:
         drawn = drawn | {"messages": messages.plot_messages}
     if mission.is_passively_safe:
         drawn = drawn | {"drifts": drifts.plot_drifts}
