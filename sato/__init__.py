@@ -11,6 +11,7 @@ A name is imported from its module when it is first used, so that `import sato` 
 # mypy: implicit-reexport
 # ruff: noqa: F401
 
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -94,6 +95,7 @@ def __getattr__(name: str) -> Any:
     return found
 
 
+@cache
 def check_packages() -> None:
     """Refuse modules of the user's that hide the packages on which this one rests."""
     for name in ("dynamics", "problems"):

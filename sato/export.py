@@ -8,6 +8,7 @@ the messages back with `oem`.
 
 import csv
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -87,13 +88,16 @@ def export(
 
         return write_recording(make_scene(), str(data.attrs["name"]), path)
     with replace_atomically(path) as new:
-        try:
-            (_write_oem if format == "oem" else _write_csv)(data, new)
-        except InputError:
-            raise
-        except (ValueError, ArithmeticError) as error:
-            raise InputError("", f"the epoch or the body of the run is damaged: {error}") from error
+        (_write_oem if format == "oem" else _write_csv)(data, new)
     return path
+
+
+@contextmanager
+def _damage_told() -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, ArithmeticError) as error:
+        raise InputError("", f"the epoch or the body of the run is damaged: {error}") from error
 
 
 def iterate_ephemerides(data: RunData) -> Iterator[Ephemeris]:
@@ -104,7 +108,8 @@ def iterate_ephemerides(data: RunData) -> Iterator[Ephemeris]:
     inertial = None
     if "chief" in data:
         six = np.asarray(data["chief"], dtype=float)
-        frame = LVLH.from_polar_nodal(six, float(data.attrs["k_j2_m5_s2"]))
+        with _damage_told():
+            frame = LVLH.from_polar_nodal(six, float(data.attrs["k_j2_m5_s2"]))
         inertial = frame.to_inertial(relative)
         yield Ephemeris(CHIEF_NAME, time, np.zeros_like(relative[:, 0]), frame.chief_state)
     digits = len(str(alive.shape[1] - 1))
@@ -120,7 +125,8 @@ def format_utc(data: RunData, time: Float[Array, " k"]) -> list[str]:
     Leap seconds are not counted.
     """
     text = str(data.attrs.get("epoch", DEFAULT_EPOCH))
-    epoch = datetime.fromisoformat(text)
+    with _damage_told():
+        epoch = datetime.fromisoformat(text)
     # In nanoseconds alone, 64 bits reach from 1677 to 2262.
     parts = np.round(time * 1e9).astype(np.int64) + 1000 * epoch.microsecond
     seconds, parts = np.divmod(parts, 1_000_000_000)

@@ -1,4 +1,4 @@
-"""Who may speak in a flight over processes: those who have its key, each once for each message."""
+"""Keys of flights over processes: those who have one are heard, once for each message."""
 
 import json
 import os
