@@ -1,13 +1,13 @@
 """The suite on each Python, with the lowest and the newest dependencies: make matrix.
 
-python scripts/test_matrix.py [--python PATH] [--only 3.13-lowest] [--write] [-- -n 1 -x]
+python scripts/test_matrix.py [--python PATH] [--only 3.13-lowest] [-- -n 1 -x]
 
-The Pythons are those that pyproject.toml names; they are sought in PATH and among those of pyenv,
-or given by path, and a missing one is a failure. Environments are made anew in build/matrix from the
-bounds of pyproject.toml: the lowest version of each direct dependency that has a wheel for the
-Python, with the newest of what these need, or the newest version of all. Words after `--` go to
-pytest. Output of each suite is in build/matrix/3.13-lowest.log. Exit code 1 where a Python is
-missing, an environment cannot be made, or a suite fails.
+The Pythons are those that pyproject.toml names. They are sought in PATH and among those of pyenv,
+or given by path, and a missing one is a failure. Environments are made anew in build/matrix, from
+the bounds of pyproject.toml: with the lowest version of each direct dependency that has a wheel
+for the Python and the newest of all others, or with the newest of all. Words after `--` go to
+pytest, whose output is in build/matrix/3.13-lowest.log. The last lines are a table for the page.
+Exit code 1 where a Python is missing, an environment cannot be made, or a suite fails.
 """
 
 import argparse
@@ -21,17 +21,22 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from written_tables import write_table
-
 ROOT = Path(__file__).parents[1]
 HOME = ROOT / "build/matrix"
-PAGE = ROOT / "docs/first-run.md"
 EXTRAS = "dev,rerun"
-RESOLUTIONS = {"lowest": "lowest-direct", "newest": "highest"}
+KINDS = {"lowest": "lowest-direct", "newest": "highest"}
 WITHOUT_WHEELS = {"ecos", "oem"}  # compiled where there is none: both have a single version
-SHOWN = ("numpy", "scipy", "numba", "cvxpy", "clarabel", "highspy", "casadi", "xarray", "matplotlib")
+SHOWN = (
+    "numpy",
+    "scipy",
+    "numba",
+    "cvxpy",
+    "clarabel",
+    "highspy",
+    "casadi",
+    "xarray",
+    "matplotlib",
+)
 
 
 def read_project() -> dict[str, Any]:
@@ -89,8 +94,8 @@ def find_pythons(versions: list[str], given: list[Path]) -> dict[str, Path]:
         if version not in found and (path := next(paths, None)):
             found[version] = path
     if missing := [version for version in versions if version not in found]:
-        words = " and ".join(f"/path/to/python{version}" for version in missing)
-        raise SystemExit(f"Python {', '.join(missing)}: not found; PYTHONS='{words}' would do")
+        words = " ".join(f"/path/to/python{version}" for version in missing)
+        raise SystemExit(f'Python {", ".join(missing)}: not found; PYTHONS="{words}" would do')
     return found
 
 
@@ -100,68 +105,65 @@ def make_environment(python: Path, home: Path, resolution: str, direct: list[str
     make = [*uv, "venv", "--quiet", "--clear", "--no-python-downloads", "--python", python, home]
     wheels = [f"--only-binary={name}" for name in direct if name not in WITHOUT_WHEELS]
     install = [*uv, "pip", "install", "--quiet", "--python", home / "bin/python", *wheels]
-    install += ["--resolution", RESOLUTIONS[resolution], "--editable", f"{ROOT}[{EXTRAS}]"]
+    install += ["--resolution", KINDS[resolution], "--editable", f"{ROOT}[{EXTRAS}]"]
     subprocess.run(make, check=True)
     subprocess.run(install, check=True)
 
 
-def read_versions(home: Path) -> dict[str, str]:
+def read_versions(home: Path) -> list[str]:
     """Read the versions of the packages that the table shows."""
     ask = "import sys; from importlib.metadata import version; print(*map(version, sys.argv[1:]))"
     done = subprocess.run(
         [home / "bin/python", "-c", ask, *SHOWN], check=True, capture_output=True, text=True
     )
-    return dict(zip(SHOWN, done.stdout.split(), strict=True))
+    return done.stdout.split()
 
 
 def run_suite(home: Path, words: list[str]) -> tuple[int, str]:
     """Run the suite in an environment, and return exit code and last line."""
-    log = home.with_suffix(home.suffix + ".log")
     # Commands that tests start by name are those of the environment.
     env = os.environ | {"PATH": os.pathsep.join([str(home / "bin"), os.environ["PATH"]])}
+    command = [home / "bin/python", "-m", "pytest", *words]
+    log = home.parent / f"{home.name}.log"
     with log.open("w") as out:
-        done = subprocess.run(
-            [home / "bin/python", "-m", "pytest", *words],
-            cwd=ROOT, env=env, stdout=out, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+        done = subprocess.run(command, cwd=ROOT, env=env, stdout=out, stderr=subprocess.STDOUT)
     lines = log.read_text("utf-8").strip().splitlines()
     return done.returncode, lines[-1].strip("= ") if lines else ""
 
 
+def try_environment(python: Path, name: str, words: list[str]) -> tuple[bool, list[str]]:
+    """Make an environment and run the suite in it; return the outcome and a row of the table."""
+    home, begin = HOME / name, monotonic()
+    row = name.split("-")
+    try:
+        make_environment(python, home, row[1], list_direct(read_project()))
+        row += read_versions(home)
+    except subprocess.CalledProcessError as error:
+        return False, [*row, *["–"] * len(SHOWN), f"cannot be made: {error}"]
+    print(f"{name}: made in {monotonic() - begin:.0f} s", flush=True)
+    code, line = run_suite(home, words)
+    print(f"{name}: exit code {code}, {line}", flush=True)
+    return code == 0, [*row, line]
+
+
 def main() -> None:
-    """Make the environments, run the suite in each, and show a table."""
+    """Run the suite in all environments, and print a table for the page."""
+    names = [f"{version}-{kind}" for version in list_versions(read_project()) for kind in KINDS]
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--python", type=Path, nargs="*", default=[], help="interpreters, by path")
-    parser.add_argument("--only", nargs="*", default=[], help="environments, as in 3.13-lowest")
-    parser.add_argument("--write", action="store_true", help="write the table into the page")
+    parser.add_argument("--only", choices=names, nargs="*", help="environments, all by default")
     parser.add_argument("words", nargs="*", help="arguments of pytest, after --")
     arguments = parser.parse_args()
-    project = read_project()
-    pythons = find_pythons(list_versions(project), arguments.python)
-    names = {f"{version}-{name}": (version, name) for version in pythons for name in RESOLUTIONS}
-    if unknown := set(arguments.only) - set(names):
-        parser.error(f"--only: no {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    chosen = arguments.only or names
+    pythons = find_pythons(sorted({name.split("-")[0] for name in chosen}), arguments.python)
     HOME.mkdir(parents=True, exist_ok=True)
-    table, codes = Table("Python", "dependencies", *SHOWN, "suite"), []
-    for name in arguments.only or names:
-        version, resolution = names[name]
-        home, begin = HOME / name, monotonic()
-        try:
-            make_environment(pythons[version], home, resolution, list_direct(project))
-            versions = read_versions(home)
-        except subprocess.CalledProcessError as error:
-            print(f"{name}: the environment cannot be made: {error}", flush=True)
-            codes.append(error.returncode)
-            continue
-        print(f"{name}: made in {monotonic() - begin:.0f} s", flush=True)
-        code, line = run_suite(home, arguments.words)
-        codes.append(code)
-        table.add_row(version, resolution, *versions.values(), line)
-        print(f"{name}: exit code {code}, {line}", flush=True)
-    Console().print(table)
-    if arguments.write:
-        write_table(table, "scripts/test_matrix.py --write", PAGE)
-    sys.exit(any(codes))
+    outcomes = [
+        try_environment(pythons[name.split("-")[0]], name, arguments.words) for name in chosen
+    ]
+    heads = ["Python", "dependencies", *SHOWN, "suite"]
+    rows = [heads, ["---"] * len(heads), *(row for _, row in outcomes)]
+    print(*(f"| {' | '.join(row)} |" for row in rows), sep="\n")
+    sys.exit(not all(is_good for is_good, _ in outcomes))
 
 
 if __name__ == "__main__":
