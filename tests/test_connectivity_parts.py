@@ -143,6 +143,7 @@ def test_box_blocks_lines_of_sight_along_an_axis():
     one = Obstacles.of(())._replace(boxes=np.array([[-1.0, -1, -1, 1, 1, 1]]))
     p, q = np.array([-3.0, 0.5, 0.5]), np.array([3.0, 0.5, 0.5])
     assert blocks_line_of_sight(p, q, one)
+    assert blocks_line_of_sight(np.zeros(3), np.array([0.0, 0.0, 2e-309]), one)  # 1 over it is ∞
     beside, short = np.array([0, 1.0, 0]), np.array([-2.0, 0.5, 0.5])
     assert not blocks_line_of_sight(p + beside, q + beside, one)
     assert not blocks_line_of_sight(p, short, one)

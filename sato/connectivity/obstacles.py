@@ -205,7 +205,7 @@ def blocks_line_of_sight(p: Points, q: Points, obstacles: Obstacles) -> Bool[Arr
     """Tell whether an obstacle is between two positions."""
     p, q = p[..., None, :], q[..., None, :]
     spheres = segments_hit_balls(p, q, obstacles.spheres[:, :3], obstacles.spheres[:, 3])
-    with np.errstate(divide="ignore", invalid="ignore"):  # along an axis: ±∞, NaN on a face
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # along an axis: ±∞, NaN
         ends = (obstacles.boxes.reshape(-1, 2, 3) - p[..., None, :]) / (q - p)[..., None, :]
     enters, leaves = ends.min(axis=-2).max(axis=-1), ends.max(axis=-2).min(axis=-1)
     boxes = np.maximum(enters, 0) < np.minimum(leaves, 1)
