@@ -282,12 +282,22 @@ def copied(campaign, tmp_path, *commands):
         "ALTER TABLE runs ADD COLUMN more AS (zeroblob(1000000000))",
         "ALTER TABLE runs ADD COLUMN more DEFAULT (1)",
         "ALTER TABLE runs RENAME TO more",
+        "ALTER TABLE runs RENAME COLUMN worker TO more",
     ],
 )
 def test_tables_of_a_campaign_are_plain(campaign, tmp_path, command):
     folder = copied(campaign, tmp_path, command)
     result = call("campaign", "status", folder)
     assert result.exit_code == 2 and "is no campaign, for" in result.output
+
+
+def test_names_of_columns_are_text(campaign, tmp_path):
+    folder = copied(campaign, tmp_path, 'ALTER TABLE runs ADD COLUMN "moreover" TEXT')
+    file = folder / "campaign.sqlite"
+    file.write_bytes(file.read_bytes().replace(b"moreover", b"more\xff\xfeer"))
+    for words in (("export", "--out", tmp_path / "c.csv"), ("table", "--rows"), ("status",)):
+        result = call("campaign", words[0], folder, *words[1:])
+        assert result.exit_code == 2 and "no text" in result.output
 
 
 @pytest.mark.parametrize(

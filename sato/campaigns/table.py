@@ -78,7 +78,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
             self._connection = sqlite3.connect(address, **options)
             self._connection.text_factory = lambda text: text.decode("utf-8", "replace")
             self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
-            check_schema(self.path, self._connection)
+            check_schema(self.path, self._connection, _COLUMNS)
             if not is_writer:
                 check_pages(self.path, self._connection)
             row = self._connection.execute("SELECT * FROM campaign").fetchone()
