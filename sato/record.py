@@ -26,7 +26,7 @@ from dynamics.doors import check_methods, checked
 from sato.atomic import remove_leftovers, replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
-from sato.files import read_text
+from sato.files import check_no_link, read_text
 from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
 from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
@@ -163,9 +163,9 @@ def _read_data(path: Path, file: Path) -> RunData:
 
     if not file.exists():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
-    if path.is_dir() and file.is_symlink():
-        raise RunFileError(f"{file}: is a link, and none is followed in the folder of a run")
     try:
+        if path.is_dir():
+            check_no_link(file, "the folder of a run")
         data = read_run_file(file)
     except InputError as error:
         raise RunFileError(str(error)) from error

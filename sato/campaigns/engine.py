@@ -15,6 +15,7 @@ from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
+from sato.files import check_no_link
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
 from sato.scenario.file import describe_own, find_file, load_toml
@@ -172,8 +173,7 @@ def _check_trusted(
 ) -> None:
     called, place = table.campaign.functions, table.folder / "runs"
     for path in (place, place / str(number)):
-        if path.is_symlink():
-            raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+        check_no_link(path, "a campaign")
     if functions is not None:
         for name in called:
             module, _, called_name = name.partition(":")

@@ -14,6 +14,7 @@ from sato.atomic import replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.schema import check_pages, check_schema
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
+from sato.files import check_no_link
 from sato.run_data import json_default
 from sato.scenario.errors import InputError, closest_name, join_names
 
@@ -65,8 +66,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
         for end in ("", "-wal", "-shm", "-journal"):  # which SQLite would read, or make
-            if (path := Path(f"{self.path}{end}")).is_symlink():
-                raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+            check_no_link(Path(f"{self.path}{end}"), "a campaign")
         mode = "rw" if is_writer else "ro"
         journal = Path(f"{self.path}-wal")
         has_journal = journal.exists() and journal.stat().st_size > 0
@@ -162,6 +162,11 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         """Count the rows by exit."""
         found = dict(self.query("SELECT exit, count(*) FROM runs GROUP BY exit").fetchall())
         return Counter({name: found[name] for name in EXITS if name in found})
+
+    def has_further_columns(self) -> bool:
+        """Return False where the function of further columns failed in every row."""
+        query = "SELECT count(*) FROM runs WHERE columns_error IS NULL"
+        return "columns_error" not in self.columns or bool(self.query(query).fetchone()[0])
 
     def attempts(self) -> dict[int, int]:
         """Return the attempts of rows that are flown again, by row."""

@@ -91,10 +91,10 @@ def expect_apart(
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept = bool(distance - error >= allowed)
-    known = f" (known to {error:.1g})" * (error > 1e-12 * distance)  # else by rounding
+    wrong = f", up to {error:.2g} {unit} wrong," * (error > 1e-12 * distance)  # else by rounding
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
-    message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"
+    message = f"{format_value(distance, allowed)} {unit}{wrong} {sign} {limit}{text}"
     promise = Promise(name, is_kept, distance, allowed, message, kind="safety")
     return promise._replace(agents=agents, time=time) if isfinite(distance) else promise
 
