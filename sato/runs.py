@@ -33,7 +33,7 @@ from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError
-from sato.scenario.file import Mission, describe_own, from_dict, parse_embedded, read
+from sato.scenario.file import NO_MISSION, Mission, describe_own, from_dict, parse_embedded, read
 from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
@@ -88,7 +88,8 @@ class Run:
             RunFileError: The run was loaded without its mission, parts of which no file can hold.
         """
         if self.mission is None:
-            raise record.RunFileError(describe_own(str(self.recorded.attrs["scenario"])))
+            scenario = str(self.recorded.attrs["scenario"])
+            raise record.RunFileError(describe_own(scenario) or NO_MISSION)
         return self.mission.draw(np.random.default_rng(int(self.recorded.attrs["seed"])))
 
     @property

@@ -14,7 +14,7 @@ from sato.damage import find_damage
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
-from sato.scenario.file import describe_own, load_toml
+from sato.scenario.file import NO_MISSION, describe_own, load_toml
 from sato.scenario.origin import Origin
 from sato.systems import load_system
 
@@ -92,7 +92,8 @@ def _check_alone(data: RunData) -> Report:
     summary = common.common_summary(data.attrs, frames.alive)
     every, checked = load_system(data.attrs["system"]).promises, [each.name for each in promises]
     skipped = tuple(name for name in (*every, "summary") if name not in checked)
-    return Report(tuple(promises), summary, skipped, describe_own(str(data.attrs["scenario"])))
+    reason = describe_own(str(data.attrs["scenario"])) or NO_MISSION
+    return Report(tuple(promises), summary, skipped, reason)
 
 
 def _check_summary(

@@ -21,6 +21,7 @@ from sato.scenario.errors import InputError, join_names
 from sato.scenario.file import describe_own, find_file, load_toml
 
 MOST_RUNS = 10**6
+MOST_WORKERS = 1024
 LOCK_FILE = "campaign.lock"
 
 # Called at first and after each row, with the number of rows by exit and of all runs.
@@ -228,6 +229,8 @@ def _connected(scheduler: str | None, workers: int | None) -> Iterator[Callable[
     if scheduler is None:
         has_affinity = hasattr(os, "sched_getaffinity")  # to the cores that this process may use
         cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        if workers and workers > MOST_WORKERS:
+            raise InputError("workers", f"must be at most {MOST_WORKERS}, got {workers}")
         yield partial(fly_locally, workers or cores)
         return
     from sato.campaigns.cluster import connect, fly_on_cluster

@@ -82,7 +82,7 @@ class Chief(Definition):
     radius: Annotated[float | None, Unit("m"), "distance from the center of the body"] = None
     radial_speed: Annotated[float | None, Unit("m_s"), "radial speed"] = None
     angular_momentum: Annotated[float | None, Unit("m2_s"), "specific angular momentum"] = None
-    latitude: Annotated[float | None, Unit("rad"), "argument of latitude"] = None
+    latitude: Annotated[float | None, Unit("rad"), TURNS, "argument of latitude"] = None
     mu: Annotated[
         float | None, Unit("m3_s2"), Positive, "gravity of the body; the Earth's if absent"
     ] = None
