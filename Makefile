@@ -1,4 +1,4 @@
-# Targets: demo, test, test-thorough, lint, docs, lessons, gallery, wheel, three. Each creates .venv and installs what it needs.
+# Targets: demo, test, test-thorough, matrix, lint, docs, lessons, gallery, wheel, three. Each creates .venv and installs what it needs.
 PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 0
@@ -8,7 +8,7 @@ DEMO := runs/uiuc-$(SEED)
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test test-thorough lint docs lessons gallery wheel three
+.PHONY: demo test test-thorough matrix lint docs lessons gallery wheel three
 .DEFAULT_GOAL := demo
 
 demo: .venv/installed
@@ -31,6 +31,11 @@ test-thorough: .venv/installed-dev
 	$(BIN)/python scripts/fuzz_callbacks.py --count 300
 	$(BIN)/python scripts/fuzz_labels.py
 	$(BIN)/python scripts/verdicts.py
+
+# The suite on each Python that pyproject.toml names, with its lowest and its newest dependencies.
+# Interpreters are found, or given: make matrix PYTHONS="/path/to/python3.12 /path/to/python3.13".
+matrix: .venv/installed-dev
+	$(BIN)/python scripts/test_matrix.py --python $(PYTHONS)
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check .

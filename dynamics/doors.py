@@ -13,6 +13,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from functools import cache, wraps
+from types import FrameType
 from typing import Any, TypeVar, cast
 
 from dynamics.inputs import short_repr
@@ -61,14 +62,15 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
     @wraps(function)
     def enter(*args: Any, **kwargs: Any) -> Any:
         frame = sys._getframe(1)
-        caller = frame.f_globals.get("__name__") or ""
-        if caller.startswith(INSIDE):
+        if _module_of(frame).startswith(INSIDE):
             return function(*args, **kwargs)
         # `super()` of a user's own method is called by these packages, which check the result.
         is_super = is_method and frame.f_code.co_name == function.__name__
-        if (is_super or caller == "dataclasses") and frame.f_back is not None:  # or by `replace`
-            if (frame.f_back.f_globals.get("__name__") or "").startswith(INSIDE):
-                return function(*args, **kwargs)
+        caller = frame.f_back if is_super else frame
+        while caller and _module_of(caller) == "dataclasses":  # `replace`, of one frame or two
+            caller = caller.f_back
+        if caller and _module_of(caller).startswith(INSIDE):
+            return function(*args, **kwargs)
         try:
             given = _signature(function).bind(*args, **kwargs)
         except TypeError:
@@ -77,6 +79,10 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
         return function(*given.args, **given.kwargs)
 
     return enter
+
+
+def _module_of(frame: FrameType) -> str:
+    return frame.f_globals.get("__name__") or ""
 
 
 @cache

@@ -201,7 +201,7 @@ class GainProblem:
             T = G + H
         T[np.diag_indices_from(T)] += REGULARIZATION * T.diagonal().mean()
         factor, lower = cho_factor(T, overwrite_a=True, check_finite=False)
-        return factor, lower
+        return factor, bool(lower)
 
 
 def _least_eigenvalue(A: Inexact[Array, "n n"]) -> float:

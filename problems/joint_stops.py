@@ -221,7 +221,8 @@ class JointStopProblem:
                 kinds[1 if limit.faces is not None else 2].append((-rows, rhs))
             found.append([map(np.concatenate, zip(*kind, strict=True)) for kind in kinds])
         each_kind = [zip(*kind, strict=True) for kind in zip(*found, strict=True)]
-        return [(block_diag(rows), np.concatenate(rhs)) for rows, rhs in each_kind]
+        none = csr_array((0, 0))  # of blocks without a sparse one, SciPy warns
+        return [(block_diag([none, *rows]), np.concatenate(rhs)) for rows, rhs in each_kind]
 
     def _solve(
         self,

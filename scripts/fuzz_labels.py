@@ -460,7 +460,7 @@ def _other(module: str, make: str) -> Callable[..., Any]:
         with contextlib.suppress(ModuleNotFoundError):
             kind = getattr(importlib.import_module(module), make)
             return kind(dict(zip(headers, numbers.T, strict=True))), truth
-        return _dicts(headers, numbers, truth, rng)
+        return _dicts(headers, numbers, truth, rng.spawn(1)[0])  # other draws stay as they are
 
     return build
 

@@ -6,6 +6,7 @@ import sqlite3
 import struct
 import sys
 import zlib
+from contextlib import closing
 from pathlib import Path
 
 import h5py
@@ -305,11 +306,8 @@ def test_names_of_columns_are_text(campaign, tmp_path):
     [("scenario", '["/etc/passwd"]'), ("scenario", '"x"'), ("trials", '"x"'), ("case", "1e308")],
 )
 def test_definition_of_a_campaign_names_no_file_and_is_checked(campaign, tmp_path, key, value):
-    (text,) = (
-        sqlite3.connect(campaign / "campaign.sqlite")
-        .execute("SELECT definition FROM campaign")
-        .fetchone()
-    )
+    with closing(sqlite3.connect(campaign / "campaign.sqlite")) as connection:
+        (text,) = connection.execute("SELECT definition FROM campaign").fetchone()
     changed = json.dumps(json.loads(text) | {key: json.loads(value)}).replace("'", "''")
     folder = copied(campaign, tmp_path, f"UPDATE campaign SET definition = '{changed}'")
     result = call("campaign", "table", folder)

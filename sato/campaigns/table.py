@@ -5,7 +5,7 @@ import os
 import sqlite3
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,26 +73,27 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         if not (is_writer or os.access(folder, os.W_OK) or has_journal):
             mode = "ro&immutable=1"
         address = f"{self.path.resolve().as_uri()}?mode={mode}"
-        with describe_errors(self.path):
-            options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
-            self._connection = sqlite3.connect(address, **options)
-            self._connection.text_factory = lambda text: text.decode("utf-8", "replace")
-            self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
-            check_schema(self.path, self._connection, _COLUMNS)
-            if not is_writer:
-                check_pages(self.path, self._connection)
-            row = self._connection.execute("SELECT * FROM campaign").fetchone()
-        self.fingerprint, self.version = str(row[1]), str(row[2])
-        self.campaign = self._read_campaign(row[0])
-        self._names = {name.lower(): name for name in self.columns}
-        if is_writer:
-            self.query("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
+        options: Any = {"uri": True, "timeout": PATIENCE, "isolation_level": None}
+        with ExitStack() as opened:
+            with describe_errors(self.path):
+                connection = opened.enter_context(closing(sqlite3.connect(address, **options)))
+                connection.text_factory = lambda text: text.decode("utf-8", "replace")
+                connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
+                check_schema(self.path, connection, _COLUMNS)
+                if not is_writer:
+                    check_pages(self.path, connection)
+                row = connection.execute("SELECT * FROM campaign").fetchone()
+            self._connection, self.fingerprint, self.version = connection, str(row[1]), str(row[2])
+            self.campaign = self._read_campaign(row[0])
+            self._names = {name.lower(): name for name in self.columns}
+            if is_writer:
+                self.query("PRAGMA synchronous = NORMAL")  # a killed process loses nothing
+            opened.pop_all()  # a table that is refused is closed
 
     def _read_campaign(self, text: str) -> Campaign:
         try:
             return Campaign.from_json(text)
         except InputError as error:
-            self._connection.close()
             if self.version == own_version():
                 raise
             reason = f"was written by sato {self.version}, and this is {own_version()}: {error}"

@@ -44,7 +44,7 @@ def is_planning_due(context: DecisionContext, plans: Plans) -> Bool[Array, " age
     mission, k, left = context.mission, context.step_index, context.leg.steps - context.memory.clock
     is_kept = (left < mission.freeze_steps) | mission.keeps_plans
     deviates = mission.is_point_mass and mission.has_noise and mission.tracking is None
-    is_over = (left == 0) & ~deviates
+    is_over = (left == 0) & (not deviates)
     for i in np.flatnonzero(is_kept).tolist():
         if mission.has_own_clocks and _waits(mission, plans.get(i), k):
             continue
