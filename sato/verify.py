@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamics.callbacks import CallbackError
 from sato.check import common
-from sato.check.report import Promise, Report, expect_none
+from sato.check.report import JUDGED, Promise, Report, expect_none
 from sato.damage import find_damage
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
@@ -105,9 +105,12 @@ def _check_summary(
     expected = first | report.entries
     # Of a run that was altered, or saved without its mission, these tell it now, not then.
     is_told = is_unaltered and not unchecked.items() <= summary.items()
-    judged = () if is_told else ("broken", "verdict", "success")
-    names = [name for name in {**expected, **summary} if name not in judged]
     both = expected.keys() & summary.keys()
+    # Before there were verdicts, summaries had fewer entries, and a success could be a collision.
+    is_early = "verdict" not in summary
+    judged = () if is_told and not is_early else JUDGED
+    told = both if is_early else {**expected, **summary}
+    names = [name for name in told if name not in judged]
     wrong = [n for n in names if n not in both or _differs(summary[n], expected[n])]
     text = "entries of summary.json that are missing or differ from the data"
     text += f": {', '.join(wrong)}" * bool(wrong)

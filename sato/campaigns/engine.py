@@ -15,6 +15,7 @@ from sato.campaigns.definition import Campaign
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
+from sato.check.report import JUDGED
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
 from sato.scenario.file import describe_own, find_file, load_toml
@@ -163,6 +164,8 @@ def fly_again(
         return outcome, None
     cells = table.cells(given, outcome)
     names = {name for name, value in row.items() if value is not None} | set(cells)
+    if "verdict" not in row:  # of a version that had none, and fewer columns
+        names = names.intersection(row).difference(JUDGED)
     differing = {name for name in names if cells.get(name) != row.get(name)}
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 
