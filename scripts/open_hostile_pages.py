@@ -137,7 +137,8 @@ PLAY = """() => {
   }
   player.follow(0);
   for (const time of [run.start, run.end]) { player.seek(time); player.jump(-1); player.jump(1); }
-  document.getElementById("event").textContent = run.events.map((event) => player.lanes.describe(event));
+  const told = run.events.map((event) => player.lanes.describe(event));
+  document.getElementById("event").textContent = told.join();
   for (const button of document.querySelectorAll("button")) button.click();
   for (const element of document.querySelectorAll("*:not(#lanes)")) {
     for (const type of ["mouseover", "pointermove", "focus", "click"]) fire(element, type);
