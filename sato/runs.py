@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -38,6 +37,7 @@ from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
 from sato.systems import load_system
+from sato.terminal import as_html
 
 if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
@@ -207,7 +207,7 @@ class Run:
         return "\n".join([self.report.line, *lines])
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(repr(self))}</pre>"
+        return f"<pre>{as_html(repr(self))}</pre>"
 
 
 @checked

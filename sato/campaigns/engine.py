@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from dynamics.doors import checked
-from sato.campaigns.definition import Campaign
+from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
+from sato.check.report import JUDGED
 from sato.files import check_no_link
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
@@ -164,7 +165,11 @@ def fly_again(
     if row["exit"] in (INTERRUPTED, "time limit"):
         return outcome, None
     cells = table.cells(given, outcome)
+    if text is not None and whole is not given:  # this version may spell out keys that are new
+        cells["scenario_hash"] = digest(text)
     names = {name for name, value in row.items() if value is not None} | set(cells)
+    if "verdict" not in row:  # of a version that had none, and fewer columns
+        names = names.intersection(row).difference(JUDGED)
     differing = {name for name in names if cells.get(name) != row.get(name)}
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 

@@ -15,6 +15,7 @@ from sato.summary import format_value
 
 Times = Float[Array, " times"] | None  # of instants [s]; may go on after the values
 Verdict = Literal["kept", "not reached", "broken", "unchecked"]
+JUDGED = ("broken", "verdict", "success")  # entries of a summary that say how a run was judged
 LISTED = 3  # promises that are named in a line beside the first
 
 
