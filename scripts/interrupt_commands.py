@@ -41,7 +41,7 @@ TINY += ["leg.0.shape={kind='points', positions_m=[[-4.9, 0], [5, 0]]}"]
 ORBIT = ["swarm.agents=2"]
 CAMPAIGN = '[campaign]\nscenario = "tiny.toml"\nkeep = "all"\ntrials = 6\n'
 FIRST_ROWS = 2  # of the campaign before it is interrupted
-LEFT_TIME = 5.0  # within which processes end by themselves once their parent is killed [s]
+LEFT_TIME = 30.0  # within which processes end by themselves once their parent is killed [s]
 PATIENCE = 120.0  # for a command [s]
 POLL = 2e-4  # between two looks at a folder [s]
 
@@ -51,7 +51,7 @@ class Case(NamedTuple):
 
     words: str  # of the command line; S stands for a seed
     folder: str = "here"
-    following: str = "check here"
+    following: str = "check here"  # every other time; else, or if none, the same
     is_group: bool = False  # its processes are ended with it
 
 
@@ -63,11 +63,10 @@ CASES = {
     "export": Case("export orbit", "orbit", "check orbit"),
     "check": Case("check here"),
     "campaign": Case("campaign run c.toml --out camp --resume", "camp", ""),
-    "processes": Case("run tiny.toml --out here --seed S --processes"),
-    "group": Case("run tiny.toml --out here --seed S --processes", is_group=True),
+    # Whose temporary files are removed by their kind alone.
+    "processes": Case("run tiny.toml --out here --seed S --processes", following=""),
+    "group": Case("run tiny.toml --out here --seed S --processes", "here", "", is_group=True),
 }
-# Whose temporary files are removed by their kind alone.
-FOLLOWING = {"processes": CASES["processes"].words, "group": CASES["processes"].words}
 HOW = ("kill", "interrupt", "full")
 
 
@@ -118,7 +117,7 @@ class Trial:
             if monotonic() > until:
                 for process in left:
                     process.kill()
-                return [f"process {p.pid} still runs" for p in left]
+                return [f"process {p.pid} still runs: {p.cmdline()}" for p in left]
             sleep(0.02)
         return []
 
@@ -248,7 +247,7 @@ def try_once(
         faults.append(f"complained: {ended.complained[-300:]}")
     if name == "campaign":
         faults += find_missing_rows(folder, ended.complained)
-    next_words = FOLLOWING.get(name, case.following if number % 4 < 2 else "") or words
+    next_words = case.following if number % 4 < 2 and case.following else words
     after = Trial(home, next_words)
     done = after.end(None)
     if done.code:
