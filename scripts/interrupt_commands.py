@@ -42,7 +42,7 @@ ORBIT = ["swarm.agents=2"]
 CAMPAIGN = '[campaign]\nscenario = "tiny.toml"\nkeep = "all"\ntrials = 6\n'
 FIRST_ROWS = 2  # of the campaign before it is interrupted
 LEFT_TIME = 30.0  # within which processes end by themselves once their parent is killed [s]
-PATIENCE = 120.0  # for a command [s]
+PATIENCE = 600.0  # for a command [s]
 POLL = 2e-4  # between two looks at a folder [s]
 
 
@@ -273,7 +273,8 @@ def prepare(home: Path) -> None:
     first += ["run tiny.toml --out here", "plot here", "animate here", "player here"]
     for words in [*first, "export orbit"]:
         ended = Trial(home, words).end(None)
-        if ended.code or (left := find_leftovers(home)):
+        if ended.code or find_leftovers(home):
+            left = find_leftovers(home)
             raise SystemExit(f"`{words}` ended with {ended.code}: {ended.complained}{left}")
 
 
