@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -106,13 +106,15 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     plain = json.loads(json.dumps(summary, default=json_default))
     plain |= {"digest": data.attrs["digest"]} if "digest" in data.attrs else {}
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
-    with replace_atomically(folder / RUN_FILE) as file:
+    others = _iterate_others(folder, data.attrs.get("digest", "without a digest"))
+    with replace_atomically(folder / RUN_FILE, others) as file:
         file.write_bytes(data.to_netcdf())
-        own = find_drawn(folder, data.attrs.get("digest", "without a digest"))
-        for path in {*find_drawn(folder), folder / SUMMARY_FILE}.difference(own):
-            path.unlink(missing_ok=True)
     with replace_atomically(folder / SUMMARY_FILE) as file:
         file.write_text(text, encoding="utf-8")
+
+
+def _iterate_others(folder: Path, digest: object) -> Iterator[Path]:
+    yield from {*find_drawn(folder), folder / SUMMARY_FILE}.difference(find_drawn(folder, digest))
 
 
 def drawn_mark(digest: object = "") -> str:

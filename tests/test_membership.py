@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sato.atomic import is_held
 from sato.processes.envelope import MAX_SIZE, OVERHEAD, VERSION, WORLD, Envelopes
 from sato.processes.fleet import Fleet
-from sato.processes.membership import KEY_FILE, Incarnation, create_key, is_running, read_key
+from sato.processes.membership import KEY_FILE, Incarnation, create_key, read_key
 from sato.processes.network import load_zenoh
 from sato.scenario.errors import InputError
 
@@ -100,17 +101,11 @@ def test_starts_of_a_vehicle_are_counted_and_it_is_there_once(tmp_path):
     first = Incarnation(tmp_path / KEY_FILE, 3)
     with pytest.raises(InputError, match="the process of vehicle 3 is there already"):
         Incarnation(tmp_path / KEY_FILE, 3)
+    assert is_held(tmp_path / "3")
     os.close(first._file)
+    assert not is_held(tmp_path / "3")
     assert (first.number, Incarnation(tmp_path / KEY_FILE, 3).number) == (1, 2)
     assert Incarnation(tmp_path / KEY_FILE, 0).number == 1
-
-
-def test_process_that_has_ended_is_not_running():
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    while is_running(process.pid):  # until it is a zombie
-        os.sched_yield()
-    process.wait()
-    assert not is_running(process.pid) and is_running(os.getpid()) and not is_running(2**70)
 
 
 def test_those_without_the_key_are_not_let_in():

@@ -248,7 +248,7 @@ def test_what_a_killed_writer_left_goes_and_a_living_one_s_stays(folder):
     with replace_atomically(folder / "mine") as new:
         new.write_text("whole")
         sato.load(folder)
-        assert [path.name for path in folder.glob(f"{PREFIX}*")] == [new.parent.name]
+        assert [path.name for path in folder.glob(f"{PREFIX}*")] == [new.parents[1].name]
     assert (folder / "mine").read_text() == "whole" and not list(folder.glob(f"{PREFIX}*"))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynamics.doors import checked
-from sato.atomic import replace_atomically
+from sato.atomic import remove_leftovers, replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.schema import check_pages, check_schema
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
@@ -63,6 +63,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
 
     def __init__(self, folder: Path, is_writer: bool = False) -> None:
         self.folder, self.path = folder, folder / TABLE_FILE
+        remove_leftovers(folder)
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
         for end in ("", "-wal", "-shm", "-journal"):  # which SQLite would read, or make

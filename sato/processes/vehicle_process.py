@@ -10,10 +10,11 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from sato.atomic import is_held
 from sato.processes.codec import decode, encode
 from sato.processes.envelope import WORLD
 from sato.processes.free_vehicle import FreeVehicle
-from sato.processes.membership import Incarnation, Membership, is_running, read_key
+from sato.processes.membership import Incarnation, Membership, read_key
 from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply
 from sato.processes.network import Connection
 from sato.processes.vehicle import Vehicle
@@ -56,13 +57,13 @@ class VehicleConnection(Connection):
 
     def __init__(self, member: Membership, number: int, incarnation: int, key_file: Path) -> None:
         super().__init__(member, number, incarnation)
-        self._world, self._key_file, self._looks_at = member.world, key_file, 0.0
+        self._flight, self._looks_at = key_file.parent, 0.0
 
     def receive(self, timeout: float) -> tuple[int, Any] | None:
         """Return the sender and the next value, as `Connection` does."""
         if time.monotonic() > self._looks_at:
             self._looks_at = time.monotonic() + PATIENCE
-            if not (self._key_file.exists() and is_running(self._world)):
+            if not is_held(self._flight):
                 os._exit(0)
         return super().receive(timeout)
 
