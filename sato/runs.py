@@ -241,7 +241,8 @@ def run(
             and those of a solver or of `progress` are counted; the first is shown.
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
-        port: Port of the loopback interface by which processes talk; any that is free by default.
+        port: Port of the loopback interface by which processes talk; by default they do by a
+            socket that no other user can open.
         speed: Factor by which processes that run freely are faster than the clock.
 
     Raises:

@@ -11,18 +11,18 @@ from time import monotonic
 from typing import Any
 
 from sato.atomic import is_held, open_scratch
+from sato.processes.codec import CodecError
 from sato.processes.envelope import WORLD
 from sato.processes.membership import KEY_FILE, create_key, write_private
 from sato.processes.messages import Fault, Hearing
-from sato.processes.network import USER, Connection, find_port, load_zenoh
-from sato.processes.vehicle_process import run_vehicle
+from sato.processes.network import START_TIME, USER, Connection, check_port, load_zenoh
+from sato.processes.vehicle_process import run_child
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
 from sato.workers import check_guard, make_context, place_sockets
 
 MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
-START_TIME = 60.0  # within which all processes are there [s]
 LOOK_INTERVAL = 0.1  # at which the world looks whether processes are there [s]
 PRELOADED = ["sato.processes.vehicle_process"]  # by the process from which the others are forked
 PREFIX = "sato-flight-"  # of the folders of flights, which the next one removes if one is killed
@@ -40,12 +40,13 @@ class Fleet(AbstractContextManager["Fleet"]):
     """
 
     def __init__(self, mission: str, vehicles: int, port: int | None = None) -> None:
-        """Listen for the vehicles of a mission at a port, or any; refuse one that is in use."""
+        """Listen for the vehicles of a mission, at a port if asked to; refuse one in use."""
         load_zenoh()
-        self.port = find_port(port)
+        if port is not None:
+            check_port(port)
         with ExitStack() as stack:
             self._folder = stack.enter_context(open_scratch(Path(gettempdir()), PREFIX))
-            member = create_key(self._folder, mission, self.port, vehicles)
+            member = create_key(self._folder, mission, port, vehicles)
             users = self._folder / "users"
             write_private(users, f"{USER}:{member.key.hex()}\n")
             self._connection = Connection(member, WORLD, 1, users)
@@ -78,9 +79,7 @@ class Fleet(AbstractContextManager["Fleet"]):
         check_memory(len(each))
         context = _context()
         for i in each:
-            process = context.Process(
-                target=run_vehicle, args=(self.key_file, i, True), daemon=True
-            )
+            process = context.Process(target=run_child, args=(self.key_file, i), daemon=True)
             process.start()
             self.processes[i] = process
         until = monotonic() + START_TIME
@@ -131,7 +130,10 @@ class Fleet(AbstractContextManager["Fleet"]):
         return self._received.popleft() if self._received else self._receive(timeout)
 
     def _receive(self, timeout: float) -> tuple[int, Any] | None:
-        received = self._connection.receive(timeout)
+        try:
+            received = self._connection.receive(timeout)
+        except CodecError as error:
+            raise VehicleError(str(error)) from error
         if received is None:
             return None
         number, value = received

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from sato.scenario.errors import InputError
 
+HOST = "127.0.0.1"
 KEY_FILE = "key"
 TRIES = 3  # to lock a file, at which the world may look
 LOOK_TIME = 0.01  # which that takes at most [s]
@@ -25,14 +26,18 @@ class Membership(NamedTuple):
     """Key of a flight, and the place of its world, as a process is told."""
 
     key: bytes
-    port: int
+    endpoint: str  # at which the world listens, as Zenoh writes it
     vehicles: int
 
 
-def create_key(folder: Path, mission: str, port: int, vehicles: int) -> Membership:
-    """Write the key file of a new flight of a mission into a folder; the world calls this."""
+def create_key(folder: Path, mission: str, port: int | None, vehicles: int) -> Membership:
+    """Write the key file of a new flight of a mission into a folder; the world calls this.
+
+    Without a port, the world listens at a socket in the folder, which other users cannot open.
+    """
     key = blake2b(mission.encode(), key=secrets.token_bytes(32), digest_size=32).digest()
-    member = Membership(key, port, vehicles)
+    endpoint = f"tcp/{HOST}:{port}" if port else f"unixsock-stream/{folder / 'world'}"
+    member = Membership(key, endpoint, vehicles)
     text = json.dumps(member._replace(key=key.hex())._asdict())  # type: ignore[arg-type]
     write_private(folder / KEY_FILE, text)
     return member
@@ -46,7 +51,8 @@ def read_key(file: Path, number: int) -> Membership:
             if status.st_mode & 0o077 or status.st_uid != os.getuid():
                 raise InputError("--key-file", f"{file} can be read by others; mode 600 would do")
             known = json.load(opened)
-        member = Membership(bytes.fromhex(known["key"]), *map(int, [*known.values()][1:]))
+        key, vehicles = bytes.fromhex(known["key"]), int(known["vehicles"])
+        member = Membership(key, str(known["endpoint"]), vehicles)
     except (OSError, ValueError, TypeError, KeyError) as error:
         if isinstance(error, InputError):
             raise
