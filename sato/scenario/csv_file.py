@@ -71,17 +71,15 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
 def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> None:
     """Refuse rows without a header whose first line, or first column, may be labels."""
     header, count = ",".join(names), len(rows)
-    numbered = [list(map(str, range(k, count + k))) for k in (0, 1)][
-        :count
-    ]  # one row, from 0 alone
+    numbered = [list(map(str, range(k, count + k))) for k in range(min(count, 2))]
     first, others = rows[0], [cell for cells in rows[1:] for cell in cells]
     if others and first == list(map(str, range(len(first)))) and all("." in c for c in others):
         cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
         raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
     are_distinct = len({tuple(cells[1:]) for cells in rows}) == len(rows)  # as points x,y
     if header == "x,y,z" and are_distinct and (counts := [cells[0] for cells in rows]) in numbered:
-        first, cure = ", ".join([*counts, "1"][:2]), "name the columns, id,x,y or x,y,z"
-        reason = f"the first column, {first}, …, may number the rows or be x"
+        begin, cure = ", ".join([*counts, "1"][:2]), "name the columns, id,x,y or x,y,z"
+        reason = f"the first column, {begin}, …, may number the rows or be x"
         raise ValueError(f"{path}: {reason}; {cure}")
 
 
