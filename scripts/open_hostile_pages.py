@@ -270,7 +270,7 @@ def write_pages(run: Run, out: Path) -> list[Path]:
     run.export(out / "run.csv", "csv")
     if "chief" in run.recorded:
         run.export(out / "oem")
-    return [run.player(out / "player.html"), _write_notebook([run, run.data], out, drawn), *drawn]
+    return [run.player(out / "player.html"), write_notebook([run, run.data], out, drawn), *drawn]
 
 
 def _write_figures(figures: dict[str, Any], out: Path) -> list[Path]:
@@ -281,12 +281,14 @@ def _write_figures(figures: dict[str, Any], out: Path) -> list[Path]:
     return paths
 
 
-def _write_notebook(objects: list[Any], out: Path, drawings: list[Path]) -> Path:
+def write_notebook(objects: list[Any], out: Path, drawings: list[Path]) -> Path:
+    """Write what objects say that they are as HTML, and drawings, into one page."""
     # A notebook puts into its page what objects say that they are as HTML or SVG.
     shown = [part._repr_html_() for part in objects]
     shown += [f"<svg{path.read_text('utf-8').partition('<svg')[2]}" for path in drawings]
     page = out / "notebook.html"
-    page.write_text("\n".join(["<!doctype html><meta charset=utf-8><body>", *shown]), "utf-8")
+    text = "\n".join(["<!doctype html><meta charset=utf-8><body>", *shown])
+    page.write_text(text, "utf-8", errors="replace")  # of xarray, which keeps halves of pairs
     return page
 
 
@@ -318,7 +320,7 @@ def write_campaign_pages(table: CampaignTable, out: Path) -> list[Path]:
     drawn = _write_figures(draw_campaign(table), out)
     export_campaign(table, out / "runs.csv", "csv")
     objects = [table.to_pandas(), table.to_xarray()]
-    return [write_report(table, out / "report.html"), _write_notebook(objects, out, drawn), *drawn]
+    return [write_report(table, out / "report.html"), write_notebook(objects, out, drawn), *drawn]
 
 
 def attempt(make: Callable[[], list[Path]]) -> tuple[list[Path], str]:
