@@ -110,6 +110,7 @@ _ODD = [
     "ا\u0308" * 300 + "東京" * 50 + "👩‍🚀" * 20,
 ]
 TEXTS = [f"{text} {MARK}" for text in (*_LIVE, *_ODD)]
+JOINED = " ".join(text for text in TEXTS if len(text) < 1000)
 RUNS = {
     "crossing": (),
     "orbit": ("swarm.agents=3",),
@@ -186,7 +187,7 @@ def list_fields(origin: Path) -> Iterator[str]:
     """Yield all fields of a saved run that are, or could be, a text."""
     with h5py.File(origin / RUN_FILE) as opened:
         yield from (f"attribute: {name}" for name in {*opened.attrs, "stopped", "center", "more"})
-        yield from (f"{kind}: {name}" for name in opened for kind in ("units", "long_name", "note"))
+        yield from ("units: time", "units: event", "long_name: all", "note: all")
         tables = tomllib.loads(str(opened.attrs["scenario"]))
     yield from (f"origin: {name}" for name in ("kind", "name", "overrides"))
     yield from (f"event: {name}" for name in ("kind", "time", "agents", "note", "key"))
@@ -231,7 +232,8 @@ def write_run(origin: Path, folder: Path, fields: list[str], text: str) -> None:
                 opened.create_dataset("more", data=[1.0]).make_scale("more")
                 _set(opened["more"], "units", text)
             else:
-                _set(opened[name], kind, text)
+                for place in opened if name == "all" else [name]:
+                    _set(opened[place], kind, text)
         opened["event"][...] = [json.dumps(event) for event in events]
         if any(field.startswith("scenario: ") for field in fields):
             opened.attrs["scenario"] = tomli_w.dumps(tables)
@@ -373,8 +375,6 @@ class Trials:
         for field in fields:
             is_taken = self._takes(lambda: load([field], TEXTS[0]))  # noqa: B023
             (taken if is_taken else refused).append(field)
-        units = [field for field in refused if field.startswith("units: ")]
-        refused = [field for field in refused if field not in units[1:]]
         for number, text in texts:
             label = f"{origin.name}, text {number}"
             kept = taken
@@ -419,12 +419,13 @@ def main(
     count: Annotated[int, typer.Option(help="Texts.")] = len(TEXTS),
     first: Annotated[int, typer.Option(help="Number of the first.")] = 0,
     only: Annotated[str, typer.Option(help="Name of a run, or campaign.")] = "",
+    is_joined: Annotated[bool, typer.Option("--joined", help="All but long ones as one.")] = False,
 ) -> None:
     """Open pages, and list what they do."""
     chromium = shutil.which("chromium")
     if chromium is None:
         sys.exit("there is no Chromium; `apt-get install chromium` installs one")
-    texts = list(enumerate(TEXTS))[first : first + count]
+    texts = [(-1, JOINED)] if is_joined else list(enumerate(TEXTS))[first : first + count]
     base = Path(tempfile.mkdtemp(prefix="hostile-"))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
