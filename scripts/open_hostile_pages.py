@@ -236,7 +236,7 @@ def write_run(origin: Path, folder: Path, fields: list[str], text: str) -> None:
                     _set(opened[place], kind, text)
         opened["event"][...] = [json.dumps(event) for event in events]
         if any(field.startswith("scenario: ") for field in fields):
-            opened.attrs["scenario"] = tomli_w.dumps(tables)
+            _set(opened, "scenario", tomli_w.dumps(tables))
         if any(field.startswith("origin: ") for field in fields):
             opened.attrs["origin"] = json.dumps(found)
     with suppress(Exception):  # of a file that is refused, as `sato.load` will tell
