@@ -110,6 +110,7 @@ _ODD = [
     "ا\u0308" * 300 + "東京" * 50 + "👩‍🚀" * 20,
 ]
 TEXTS = [f"{text} {MARK}" for text in (*_LIVE, *_ODD)]
+JOINED = " ".join(text for text in TEXTS if len(text) < 1000)
 RUNS = {
     "crossing": (),
     "orbit": ("swarm.agents=3",),
@@ -186,7 +187,7 @@ def list_fields(origin: Path) -> Iterator[str]:
     """Yield all fields of a saved run that are, or could be, a text."""
     with h5py.File(origin / RUN_FILE) as opened:
         yield from (f"attribute: {name}" for name in {*opened.attrs, "stopped", "center", "more"})
-        yield from (f"{kind}: {name}" for name in opened for kind in ("units", "long_name", "note"))
+        yield from ("units: time", "units: event", "long_name: all", "note: all")
         tables = tomllib.loads(str(opened.attrs["scenario"]))
     yield from (f"origin: {name}" for name in ("kind", "name", "overrides"))
     yield from (f"event: {name}" for name in ("kind", "time", "agents", "note", "key"))
@@ -231,10 +232,11 @@ def write_run(origin: Path, folder: Path, fields: list[str], text: str) -> None:
                 opened.create_dataset("more", data=[1.0]).make_scale("more")
                 _set(opened["more"], "units", text)
             else:
-                _set(opened[name], kind, text)
+                for place in opened if name == "all" else [name]:
+                    _set(opened[place], kind, text)
         opened["event"][...] = [json.dumps(event) for event in events]
         if any(field.startswith("scenario: ") for field in fields):
-            opened.attrs["scenario"] = tomli_w.dumps(tables)
+            _set(opened, "scenario", tomli_w.dumps(tables))
         if any(field.startswith("origin: ") for field in fields):
             opened.attrs["origin"] = json.dumps(found)
     with suppress(Exception):  # of a file that is refused, as `sato.load` will tell
@@ -270,7 +272,7 @@ def write_pages(run: Run, out: Path) -> list[Path]:
     run.export(out / "run.csv", "csv")
     if "chief" in run.recorded:
         run.export(out / "oem")
-    return [run.player(out / "player.html"), _write_notebook([run, run.data], out, drawn), *drawn]
+    return [run.player(out / "player.html"), write_notebook([run, run.data], out, drawn), *drawn]
 
 
 def _write_figures(figures: dict[str, Any], out: Path) -> list[Path]:
@@ -281,12 +283,14 @@ def _write_figures(figures: dict[str, Any], out: Path) -> list[Path]:
     return paths
 
 
-def _write_notebook(objects: list[Any], out: Path, drawings: list[Path]) -> Path:
+def write_notebook(objects: list[Any], out: Path, drawings: list[Path]) -> Path:
+    """Write what objects say that they are as HTML, and drawings, into one page."""
     # A notebook puts into its page what objects say that they are as HTML or SVG.
     shown = [part._repr_html_() for part in objects]
     shown += [f"<svg{path.read_text('utf-8').partition('<svg')[2]}" for path in drawings]
     page = out / "notebook.html"
-    page.write_text("\n".join(["<!doctype html><meta charset=utf-8><body>", *shown]), "utf-8")
+    text = "\n".join(["<!doctype html><meta charset=utf-8><body>", *shown])
+    page.write_text(text, "utf-8", errors="replace")  # of xarray, which keeps halves of pairs
     return page
 
 
@@ -318,7 +322,7 @@ def write_campaign_pages(table: CampaignTable, out: Path) -> list[Path]:
     drawn = _write_figures(draw_campaign(table), out)
     export_campaign(table, out / "runs.csv", "csv")
     objects = [table.to_pandas(), table.to_xarray()]
-    return [write_report(table, out / "report.html"), _write_notebook(objects, out, drawn), *drawn]
+    return [write_report(table, out / "report.html"), write_notebook(objects, out, drawn), *drawn]
 
 
 def attempt(make: Callable[[], list[Path]]) -> tuple[list[Path], str]:
@@ -371,8 +375,6 @@ class Trials:
         for field in fields:
             is_taken = self._takes(lambda: load([field], TEXTS[0]))  # noqa: B023
             (taken if is_taken else refused).append(field)
-        units = [field for field in refused if field.startswith("units: ")]
-        refused = [field for field in refused if field not in units[1:]]
         for number, text in texts:
             label = f"{origin.name}, text {number}"
             kept = taken
@@ -417,12 +419,13 @@ def main(
     count: Annotated[int, typer.Option(help="Texts.")] = len(TEXTS),
     first: Annotated[int, typer.Option(help="Number of the first.")] = 0,
     only: Annotated[str, typer.Option(help="Name of a run, or campaign.")] = "",
+    is_joined: Annotated[bool, typer.Option("--joined", help="All but long ones as one.")] = False,
 ) -> None:
     """Open pages, and list what they do."""
     chromium = shutil.which("chromium")
     if chromium is None:
         sys.exit("there is no Chromium; `apt-get install chromium` installs one")
-    texts = list(enumerate(TEXTS))[first : first + count]
+    texts = [(-1, JOINED)] if is_joined else list(enumerate(TEXTS))[first : first + count]
     base = Path(tempfile.mkdtemp(prefix="hostile-"))
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)

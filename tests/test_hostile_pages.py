@@ -18,10 +18,9 @@ sys.path.append(str(Path(__file__).parents[1] / "scripts"))
 import open_hostile_pages as hostile
 
 CHROMIUM = shutil.which("chromium")
-ALL = hostile.MARK.join(text for text in hostile.TEXTS if len(text) < 1000)
 FIELDS = [
     "attribute: name", "attribute: version", "attribute: stopped", "event: kind", "event: key",
-    "origin: name", "note: time", "long_name: time", "variable: more", "summary: key",
+    "origin: name", "note: all", "long_name: all", "variable: more", "summary: key",
 ]  # fmt: skip
 
 
@@ -43,16 +42,19 @@ def test_pages_of_runs_and_campaigns_show_hostile_texts_as_text(visitor, tmp_pat
     out.mkdir()
     sato.run("crossing").save(run)
     sato.campaign("conflict", out=campaign, trials=2, workers=1).close()
-    hostile.write_run(run, tmp_path / "used", FIELDS, ALL)
-    hostile.write_campaign(campaign, tmp_path / "table", ALL)
+    hostile.write_run(run, tmp_path / "used", FIELDS, hostile.JOINED)
+    hostile.write_campaign(campaign, tmp_path / "table", hostile.JOINED)
     with warnings.catch_warnings():  # of texts too long for their panels
         warnings.simplefilter("ignore")
-        pages = hostile.write_pages(sato.load(tmp_path / "used"), out)
+        loaded = sato.load(tmp_path / "used")
         with CampaignTable(tmp_path / "table") as table:
-            pages = [*pages[:2], pages[-1], *hostile.write_campaign_pages(table, out)]
-    told = {page.name: visitor.visit(page) for page in pages}
-    assert told == dict.fromkeys(told, []) and len(told) >= 6
-    assert visitor.visit(out / "player.html") == [] and hostile.MARK in visitor.text
+            pages = hostile.write_campaign_pages(table, out)
+    shutil.move(out / "notebook.html", out / "table.html")
+    pages += [out / "table.html", hostile.write_notebook([loaded, loaded.data], out, [])]
+    for page in [*pages, loaded.player(out / "player.html")]:
+        assert (page.name, visitor.visit(page)) == (page.name, [])
+        assert page.suffix == ".svg" or hostile.MARK in visitor.text
+    assert len(pages) >= 5
 
 
 @pytest.mark.parametrize("number", range(len(hostile.TEXTS)))
