@@ -30,7 +30,7 @@ PATIENCE = 900.0  # for a command [s]
 SENTENCES = ("sato: ", "Error: ", "ImportError: ")  # of which one begins the last line
 CRASHES = ("Traceback", "fault of the program", "Fatal Python error")
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
-OWN_MOUNTS = "unshare", "-m", "sh", "-c"
+OWN_MOUNTS = "unshare", "-m", "bash", "-c"
 TERMINAL = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"
 RC = """
 text.usetex: True
@@ -94,7 +94,7 @@ def started_by(*prefix: str, **values: str) -> Condition:
 
 def shell(line: str, **values: str) -> Condition:
     """Return the condition that a shell does something before it starts the commands."""
-    return started_by("sh", "-c", f'{line} && exec "$@"', "sh", **values)
+    return started_by("bash", "-c", f'{line} && exec "$@"', "sh", **values)
 
 
 def files(name: str, text: str, more: str = "", **values: str) -> Condition:
