@@ -1,13 +1,14 @@
 """End commands at random instants, or on a full disk: python scripts/interrupt_commands.py.
 
 Each command is started over an earlier result, in a process that is forked from this one, so that
-it has imported everything and begins with its work. Half are ended at any instant, half while they write. Then another command
-is run in the folder: `check`, or the same again. Exit code 1 where a file is half written, an
-earlier result is gone without a new one, what was said to be saved is not there, or anything is
-left over afterwards: folders of writers, temporary ones, processes.
+it has imported everything and begins with its work. Half are ended at any instant, half while they
+write. Then another command is run in the folder: `check`, or the same again. Exit code 1 where a
+file is half written, an earlier result is gone without a new one, what was said to be saved is not
+there, or anything is left over afterwards: folders of writers, temporary ones, processes.
 """
 
 import argparse
+import atexit
 import json
 import os
 import re
@@ -139,13 +140,16 @@ def _become(home: Path, words: str, size: int | None) -> None:
     if size is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     sys.argv = ["sato", *words.split()]
+    code: Any = 70
     try:
-        cli.main()  # and then the interpreter ends as it always does
+        cli.main()
     except SystemExit as error:
-        raise error from None
+        code = error.code or 0
     except BaseException:
         traceback.print_exc()
-        sys.exit(70)
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    os._exit(code)  # without taking apart all that was imported
 
 
 def contents(folder: Path) -> dict[str, bytes]:
