@@ -1,13 +1,14 @@
 """End commands at random instants, or on a full disk: python scripts/interrupt_commands.py.
 
 Each command is started over an earlier result, in a process that is forked from this one, so that
-it begins with its work. Half are ended at any instant, half while they write. Then another command
-is run in the folder: `check`, or the same again. Exit code 1 where a file is half written, an
-earlier result is gone without a new one, what was said to be saved is not there, or anything is
-left over afterwards: folders of writers, temporary ones, processes.
+it has imported everything and begins with its work. Half are ended at any instant, half while they
+write. Then another command is run in the folder: `check`, or the same again. Exit code 1 where a
+file is half written, an earlier result is gone without a new one, what was said to be saved is not
+there, or anything is left over afterwards: folders of writers, temporary ones, processes.
 """
 
 import argparse
+import atexit
 import json
 import os
 import re
@@ -28,8 +29,7 @@ import psutil
 from PIL import Image
 
 import sato
-from sato import cli, export, film, player, render, verify  # noqa: F401 (imported before forks)
-from sato.campaigns import engine, local  # noqa: F401
+from sato import cli
 from sato.campaigns.table import open_table
 from sato.record import RUN_FILE, SUMMARY_FILE, find_drawn
 from sato.run_file import read_run_file
@@ -140,13 +140,16 @@ def _become(home: Path, words: str, size: int | None) -> None:
     if size is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     sys.argv = ["sato", *words.split()]
+    code: Any = 70
     try:
-        cli.main()  # and then the interpreter ends as it always does
+        cli.main()
     except SystemExit as error:
-        raise error from None
+        code = error.code or 0
     except BaseException:
         traceback.print_exc()
-        sys.exit(70)
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    os._exit(code)  # without taking apart all that was imported
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -269,6 +272,14 @@ def prepare(home: Path) -> None:
     ):
         (home / f"{name}.toml").write_text(sato.read(source, changes).to_toml())
     (home / "c.toml").write_text(CAMPAIGN)
+    flown = sato.run(str(home / "tiny.toml"))  # imports and compiles all that is needed, once
+    flown.save(home / "warm")
+    loaded = sato.load(home / "warm")
+    loaded.plot(home / "warm")
+    loaded.animate(home / "warm")
+    loaded.player(home / "warm" / "player.html")
+    assert loaded.report.kept
+    shutil.rmtree(home / "warm")
     first = [f"campaign run c.toml --out camp --trials {FIRST_ROWS}", "run orbit.toml --out orbit"]
     first += ["run tiny.toml --out here", "plot here", "animate here", "player here"]
     for words in [*first, "export orbit"]:
@@ -285,6 +296,7 @@ def main() -> int:
     parser.add_argument("--how", choices=HOW, action="append")
     parser.add_argument("--times", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--verbose", action="store_true", help="a line each time")
     given = parser.parse_args()
     place = Path(tempfile.mkdtemp(prefix="interrupted-"))
     prepare(place / "first")
@@ -305,6 +317,8 @@ def main() -> int:
                 code, found = try_once(name, how, home, took, rng, number)
                 codes[code] += 1
                 faults += len(found)
+                if given.verbose:
+                    print(f"{name}, {how}, {number}: exit {code}", flush=True)
                 for fault in found:
                     print(f"{name}, {how}, {number}, exit {code}: {fault}", flush=True)
             print(f"{name}, {how}, of {took:.2f} s: exit codes {dict(codes)}", flush=True)

@@ -30,7 +30,7 @@ PATIENCE = 900.0  # for a command [s]
 SENTENCES = ("sato: ", "Error: ", "ImportError: ")  # of which one begins the last line
 CRASHES = ("Traceback", "fault of the program", "Fatal Python error")
 NOBODY = ("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups")
-OWN_MOUNTS = "unshare", "-m", "sh", "-c"
+OWN_MOUNTS = "unshare", "-m", "bash", "-c"
 TERMINAL = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"
 RC = """
 text.usetex: True
@@ -80,6 +80,7 @@ class Condition(NamedTuple):
     prefix: tuple[str, ...] = ()
     set_up: Callable[[Path], None] = lambda home: None
     more: str = ""  # a further command
+    is_ordinary: bool = False  # of a user who may not write to the tree, and has no home
 
 
 def variable(**values: str) -> Condition:
@@ -94,7 +95,7 @@ def started_by(*prefix: str, **values: str) -> Condition:
 
 def shell(line: str, **values: str) -> Condition:
     """Return the condition that a shell does something before it starts the commands."""
-    return started_by("sh", "-c", f'{line} && exec "$@"', "sh", **values)
+    return started_by("bash", "-c", f'{line} && exec "$@"', "sh", **values)
 
 
 def files(name: str, text: str, more: str = "", **values: str) -> Condition:
@@ -108,7 +109,7 @@ def at_start(code: str, more: str = "") -> Condition:
 
 
 CONDITIONS: dict[str, Condition] = {
-    "another user": started_by(*NOBODY, HOME="/nonexistent"),
+    "another user": Condition((("HOME", "/nonexistent"),), is_ordinary=True),
     "no home": variable(HOME=""),
     "ASCII": variable(PYTHONIOENCODING="ascii"),
     "C locale": variable(LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0"),
@@ -135,7 +136,7 @@ CONDITIONS: dict[str, Condition] = {
     "2 GB": shell("ulimit -v 2000000"),
     "32 files": shell("ulimit -n 32"),
     "files of 20 kB": shell("ulimit -f 40"),
-    "8 processes": shell("ulimit -u 8"),
+    "8 processes": shell("ulimit -u 8")._replace(is_ordinary=True),
     "full temporary folder": started_by(
         *OWN_MOUNTS,
         'mount -t tmpfs -o size=8k none $TMPDIR; yes > $TMPDIR/full 2>/dev/null; exec "$@"',
@@ -165,9 +166,8 @@ def try_conditions(names: tuple[str, ...], home: Path) -> dict[str, str]:
         commands |= {each.more.split()[0] + " too": each.more} if each.more else {}
     for path in (home, *home.rglob("*")):
         path.chmod(path.stat().st_mode | (0o777 if path.is_dir() else 0o444))
-    # Another user is the last to be become, who may change less.
-    prefixes = sorted((each.prefix for each in chosen), key=lambda words: words == NOBODY)
-    prefix = tuple(word for words in prefixes for word in words)
+    prefix = tuple(word for each in chosen for word in each.prefix)
+    prefix += NOBODY if any(each.is_ordinary for each in chosen) else ()
     return {name: _end(home, prefix, words, variables) for name, words in commands.items()}
 
 
@@ -203,16 +203,17 @@ def main() -> int:
     parser.add_argument("conditions", nargs="*", metavar="CONDITION", help="alone; all, and pairs")
     parser.add_argument("--pairs", type=int, default=PAIRS)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only-pairs", action="store_true")
     given = parser.parse_args()
     place = Path(tempfile.mkdtemp(prefix="environments-"))
     place.chmod(0o755)
-    alone: list[tuple[str, ...]] = [(name,) for name in given.conditions or CONDITIONS]
-    if not given.conditions:
-        rng, both = np.random.default_rng(given.seed), list(combinations(CONDITIONS, 2))
-        alone += [both[k] for k in rng.choice(len(both), given.pairs, replace=False)]
+    chosen: list[tuple[str, ...]] = [(name,) for name in given.conditions or CONDITIONS]
+    rng, both = np.random.default_rng(given.seed), list(combinations(CONDITIONS, 2))
+    pairs = [both[k] for k in rng.choice(len(both), given.pairs, replace=False)]
+    chosen = pairs if given.only_pairs else chosen if given.conditions else chosen + pairs
     try_conditions((), place / "plain")
     expected, faults = results(place / "plain"), 0
-    for number, names in enumerate(alone):
+    for number, names in enumerate(chosen):
         began, home = perf_counter(), place / str(number)
         ended = try_conditions(names, home)
         works = [name for name, text in ended.items() if text == "works"]
@@ -228,7 +229,7 @@ def main() -> int:
         refused = {text for text in ended.values() if text != "works"}
         print(*(f"    {text}" for text in [*sorted(refused | set(wrong))]), sep="\n", flush=True)
         shutil.rmtree(home)
-    print(f"{faults} faults in {len(alone)} environments")
+    print(f"{faults} faults in {len(chosen)} environments")
     shutil.rmtree(place)
     return 1 if faults else 0
 
