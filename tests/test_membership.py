@@ -71,6 +71,17 @@ def test_vehicle_that_starts_again_is_believed_and_its_past_is_not():
     assert here.open(past[2]) is None
 
 
+def test_vehicle_that_starts_again_hears_nothing_that_was_said_before():
+    here = world()
+    assert here.open(vehicle(incarnation=1).seal(WORLD, b""))
+    past = here.seal(0, b"past")
+    again = vehicle(incarnation=2)
+    assert again.open(past) is None
+    assert here.open(again.seal(WORLD, b""))
+    assert again.open(here.seal(0, b"now")) == (WORLD, b"now")
+    assert again.open(past) is None
+
+
 def test_key_is_read_by_its_owner_and_for_vehicles_of_the_flight(tmp_path):
     member, file = create_key(tmp_path, "mission", 4711, 2), tmp_path / KEY_FILE
     assert read_key(file, 1) == member and file.stat().st_mode & 0o777 == 0o600
@@ -116,9 +127,10 @@ def test_process_that_has_ended_is_not_running():
 def test_those_without_the_key_are_not_let_in():
     zenoh = load_zenoh()
     with Fleet("", 2) as fleet:
+        place = json.loads(fleet.key_file.read_text())["endpoint"]
         for password in (None, "guess"):
             config = zenoh.Config()
-            settings = {"mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{fleet.port}"]}
+            settings = {"mode": "client", "connect/endpoints": [place]}
             settings |= {"connect/timeout_ms": 300, "scouting/multicast/enabled": False}
             if password is not None:
                 settings |= {"transport/auth/usrpwd/user": "sato"}
