@@ -555,8 +555,8 @@ def measure_cost(base: Path) -> int:
         shares.append(sum(row[3] for row in rows) / (rows[-1][4] - rows[0][4]))
         messages += len(rows)
     print(
-        f"{len(shares)} vehicles, {messages} messages: authentication takes {np.mean(shares):.2%} of "
-        f"a vehicle's processor time, {max(shares):.2%} at most; {OVERHEAD} bytes a message"
+        f"{len(shares)} vehicles, {messages} messages: authentication takes {np.mean(shares):.2%} "
+        f"of a vehicle's processor time, {max(shares):.2%} at most; {OVERHEAD} bytes a message"
     )
     return int(bool(result.wrong) or max(shares) > 0.1 or OVERHEAD > 40)
 
