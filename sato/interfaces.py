@@ -103,7 +103,7 @@ class MissionProgress(NamedTuple):
     details: str = ""
 
 
-FigureFactories = Mapping[str, "Callable[[], matplotlib.figure.Figure]"]
+FigureFactories = Mapping[str, Callable[[], "matplotlib.figure.Figure"]]
 
 MissionT = TypeVar("MissionT")
 FrameT = TypeVar("FrameT", bound=Frame)
