@@ -155,7 +155,7 @@ class Flight:
             if "the key of the flight is in" in line:
                 numbers = [part.split(": ")[-1] for part in line.split(";")[0].split(", ")]
                 member = read_key(Path(line.split(" is in ")[1].strip()), 0)
-                self.peak = dict.fromkeys([*map(int, numbers), member.world], 0)
+                self.peak = dict.fromkeys([*map(int, numbers), self.process.pid], 0)
                 self.member = member
 
     def is_going_on(self) -> bool:
@@ -550,7 +550,7 @@ def measure_cost(base: Path) -> int:
     notes = flight.read_notes()
     shares, messages = [], 0
     for number, rows in notes.items():
-        if number == flight.member.world or number not in flight.peak:
+        if number == flight.process.pid or number not in flight.peak:
             continue
         shares.append(sum(row[3] for row in rows) / (rows[-1][4] - rows[0][4]))
         messages += len(rows)
