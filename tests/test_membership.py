@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from types import SimpleNamespace
 
 import numpy as np
@@ -145,6 +146,23 @@ def test_those_without_the_key_are_not_let_in():
                 zenoh.open(config)
         assert (fleet.key_file.parent.stat().st_mode & 0o777) == 0o700
     assert not fleet.key_file.exists()
+
+
+def test_next_flight_removes_the_folder_of_a_killed_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "sato-fleet-dead").mkdir()
+    (tmp_path / "sato-fleet-dead" / KEY_FILE).write_text("")
+    with Fleet("", 1) as fleet:
+        assert list(tmp_path.iterdir()) == [fleet.key_file.parent]
+    assert not list(tmp_path.iterdir())
+
+
+def test_next_command_removes_the_sockets_of_a_killed_one(tmp_path):
+    code = "from sato.workers import place_sockets; place_sockets(); import os, sys"
+    for end, count in (("os.kill(os.getpid(), 9)", 1), ("", 0)):
+        words = [sys.executable, "-c", f"{code}; {end}"]
+        subprocess.run(words, env=os.environ | {"TMPDIR": str(tmp_path)})
+        assert len(list(tmp_path.iterdir())) == count
 
 
 def test_number_that_no_vehicle_has_is_told_at_once(tmp_path):

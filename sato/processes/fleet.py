@@ -25,7 +25,7 @@ MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
 LOOK_INTERVAL = 0.1  # at which the world looks whether processes are there [s]
 PRELOADED = ["sato.processes.vehicle_process"]  # by the process from which the others are forked
-PREFIX = "sato-flight-"  # of the folders of flights, which the next one removes if one is killed
+PREFIX = "sato-fleet-"  # of the folders of flights, which the next one removes if one is killed
 MEMINFO = Path("/proc/meminfo")
 
 
