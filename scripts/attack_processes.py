@@ -43,7 +43,7 @@ WATCHED = "SATO_WATCHED"  # variable of the environment: folder of the notes of 
 NOTE = struct.Struct("<c8sIddQ")  # opened or sealed, digest, size, time, processor time, refused
 MORE = 50 * 2**20  # of memory, that an attack may take [byte]
 LONGEST = 180.0  # of a flight, after it is no longer attacked [s]
-SIZES = 7_900_000, 8_100_000, 100_000_000  # of large messages [byte]
+SIZES = 1_900_000, 2_100_000, 100_000_000  # of large messages [byte]
 LOCK_STEP = ("crossing", "leg.0.steps=200")
 TIMED = "plan.horizon_steps=8", "plan.replan_steps=4", "plan.auction_steps=8", "link.round_s=0.02"
 FREE = ("crossing", *TIMED)
@@ -564,7 +564,7 @@ def measure_cost(base: Path) -> int:
 def main(
     count: Annotated[int, typer.Option(help="Forged messages of insiders, in each mode.")] = 10_000,
     small: Annotated[int, typer.Option(help="Messages of a few bytes.")] = 20_000,
-    large: Annotated[int, typer.Option(help="Messages of 8 to 100 MB.")] = 3,
+    large: Annotated[int, typer.Option(help="Messages of 2 to 100 MB.")] = 3,
     lies: Annotated[int, typer.Option(help="Flights with a vehicle that lies.")] = 10,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 2026,
     cost: Annotated[bool, typer.Option("--cost", help="Measure authentication alone.")] = False,

@@ -69,7 +69,7 @@ def test_envelopes_of_others_are_no_messages():
     old = bytearray(vehicle().seal(WORLD, b"x"))
     old[0] = VERSION + 1
     assert here.open(bytes(old)) is None
-    with pytest.raises(ValueError, match="a message of 8,000,000 bytes is more than"):
+    with pytest.raises(ValueError, match="a message of 2,000,000 bytes is more than"):
         vehicle().seal(WORLD, bytes(MAX_SIZE))
     assert here.open(bytes(MAX_SIZE + 1)) is None
 
@@ -177,13 +177,13 @@ def test_sender_that_floods_takes_no_room_of_others():
     with Fleet("", 2) as fleet:
         connection = fleet._connection
         ends = [Envelopes(connection._envelopes._key, number, 1, [WORLD]) for number in (0, 1)]
-        half = encode(bytes(MAX_SIZE // 2 - 1000))
-        for end, content in [(ends[0], half)] * 3 + [(ends[1], encode("here"))]:
+        most = encode(bytes(MAX_SIZE - 1000))
+        for end, content in [(ends[0], most)] * 5 + [(ends[1], encode("here"))]:
             sealed = end.seal(WORLD, content)
             payload = SimpleNamespace(to_bytes=lambda sealed=sealed: sealed)
             connection._receive(SimpleNamespace(payload=payload))
-        senders = [connection.receive(0.0)[0] for _ in range(3)]
-        assert senders == [0, 0, 1] and connection.receive(0.0) is None
+        senders = [connection.receive(0.0)[0] for _ in range(5)]
+        assert senders == [0, 0, 0, 0, 1] and connection.receive(0.0) is None
 
 
 STATUS = Status(

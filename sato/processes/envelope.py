@@ -13,7 +13,7 @@ from hmac import compare_digest
 VERSION = 1
 WORLD = 0xFFFF  # number of the world as a sender or a receiver
 TAG_SIZE = 16
-MAX_SIZE = 8_000_000  # of a message [byte]
+MAX_SIZE = 2_000_000  # of a message [byte]
 _HEAD, _RECEIVER = struct.Struct("<BHIQ"), struct.Struct("<HI")
 OVERHEAD = _HEAD.size + TAG_SIZE
 

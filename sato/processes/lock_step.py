@@ -14,7 +14,7 @@ from sato.processes.world import World
 from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.state import ReconfigurationFrame
 
-MAX_ROUNDS = 10_000  # of a decision that takes no time; it takes less than 1,000
+MAX_ROUNDS = 10_000  # of a decision that takes no time, before a vehicle is taken not to end it
 ROUNDING = 1e-6  # of a control step, by which a round may come too soon
 
 

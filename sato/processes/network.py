@@ -17,7 +17,7 @@ INSTALL = "pip install 'sato-swarm[network]'"
 LEASE = 24 * 3_600_000  # time for which a paused process is waited for [ms]
 START_TIME = 60.0  # within which all processes are there [s]
 ACCEPT_TIME = 2.0  # within which those who connect say who they are [s]
-MAX_WAITING = MAX_SIZE  # of the messages of each sender that are not yet read [byte]
+MAX_WAITING = 4 * MAX_SIZE  # of the messages of each sender that are not yet read [byte]
 PREFIX = "sato/to"  # of what is sent, before the number of the receiver
 USER = "sato"  # name under which all of a flight are let in
 
