@@ -211,9 +211,10 @@ def test_no_place_repeats_a_forged_success(saved, tmp_path, entries, name, seals
     assert line.startswith("BROKEN: ") and code == 1 and success == [False, False]
 
 
-def test_a_run_that_was_stopped_is_not_reached_and_says_why(saved):
+@pytest.mark.parametrize("complete", [0, 1])
+def test_a_run_that_was_stopped_is_not_reached_and_says_why(saved, complete):
     _, run = saved
-    attrs = {**run.recorded.attrs, "complete": 0, "stopped": "interrupted"}
+    attrs = {**run.recorded.attrs, "complete": complete, "stopped": "interrupted"}
     stopped = Run(replace(run.recorded, attrs=attrs).seal(), {}, run.mission)
     aims = {each.name for each in stopped.report.broken if each.kind == "aim"}
     assert "complete" in aims

@@ -121,7 +121,9 @@ def _write(out: bytearray, value: Any) -> None:
     elif value is None or isinstance(value, bool | np.bool_):
         out += b"n" if value is None else b"T" if value else b"F"
     elif isinstance(value, int | np.integer):
-        out += struct.pack("<cq", b"i", value)
+        is_short, size = -(2**63) <= value < 2**63, int(value).bit_length() // 8 + 1
+        out += struct.pack("<cq", b"i", value) if is_short else struct.pack("<cI", b"j", size)
+        out += b"" if is_short else int(value).to_bytes(size, "little", signed=True)
     elif isinstance(value, float):
         out += struct.pack("<cd", b"f", value)
     elif isinstance(value, str | bytes):
@@ -187,6 +189,8 @@ class _Reader:
             return _SIMPLE[tag]
         if tag in b"if":
             return self._unpack("<q" if tag == b"i" else "<d")[0]
+        if tag == b"j":
+            return int.from_bytes(self._take(*self._unpack("<I")), "little", signed=True)
         if tag == b"a":
             return self._read_array()
         if tag == b"r":
