@@ -26,6 +26,8 @@ test: .venv/installed-dev
 # What is drawn at random, in numbers for which the tests have no time: about an hour.
 test-thorough: .venv/installed-dev
 	$(BIN)/python scripts/mutate_files.py --count 3000
+	$(BIN)/python scripts/open_hostile_pages.py
+	$(BIN)/python scripts/attack_processes.py --count 100000 --small 1000000 --large 20 --lies 100
 	$(BIN)/python scripts/fuzz_calls.py --count 10000
 	$(BIN)/python scripts/fuzz_definitions.py --count 500
 	$(BIN)/python scripts/fuzz_callbacks.py --count 300

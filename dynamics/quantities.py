@@ -47,12 +47,13 @@ def to_si(value: Any, unit: str) -> Any:
     return numbers if np.ndim(numbers) else numbers.item()
 
 
-def within_turns(angle: Any, name: str = "") -> Any:
+def within_turns(angle: Any, name: str = "", turns: float = 2.0) -> Any:
     """Return an angle, or an array of angles, within two turns; refuse larger ones, in degrees."""
-    if isinstance(angle, int | float | Array) and np.abs(angle).max(initial=0.0) > 4 * pi:
+    if isinstance(angle, int | float | Array) and np.abs(angle).max(initial=0.0) > 2 * pi * turns:
         worst = float(np.ravel(angle)[np.abs(np.ravel(angle)).argmax()])
+        within = "two turns" if turns == 2 else f"{turns:g} turns"
         meant = f"{worst:.6g} degrees are np.radians({worst:.6g}) = {np.radians(worst):.6g}"
-        raise InputError(name, f"must be in radians, within two turns, got {worst:.6g}; {meant}")
+        raise InputError(name, f"must be in radians, within {within}, got {worst:.6g}; {meant}")
     return angle
 
 

@@ -24,6 +24,7 @@ from problems.half_spaces import HalfSpaces, Rows, empty_half_spaces
 from problems.limit import Limit
 from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
+from problems.sparse_rows import SparseRows, stack_with_bounds
 from problems.transfer import (
     Solver,
     Trajectory,
@@ -271,48 +272,48 @@ class AvoidanceProblem:
         on_others = np.zeros((rows, others))
         on_others[:, others - slacks :] = -1.0
         separation = np.hstack([*(-s * U * coeffs for s in signs), on_others])
-        (linear, linear_rhs), (cones, cones_rhs) = self._limit_rows(free, limited, others)
+        limits = self._limit_rows(free, limited)
+        linear, cones = ([part for part, _ in kind] for kind in limits)
+        linear_rhs, cones_rhs = ([more for _, more in kind] for kind in limits)
 
-        A = stack_with_bounds(np.vstack([scale * terminal, separation, linear]), count, cones)
+        zero, apart = map(SparseRows.from_dense, (scale * terminal, separation))
+        columns = terminal.shape[1]
+        A, sizes = stack_with_bounds(zero, [apart, *linear], cones, count, columns, m + 1)
         bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
         bounds[count : 2 * count] = len(signs) == 1  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
-        b = np.concatenate([terminal_rhs, rhs, linear_rhs, bounds, cones_rhs])
+        b = np.concatenate([terminal_rhs, rhs, *linear_rhs, bounds, *cones_rhs])
         q = np.concatenate([cost, fuel[:norms], penalty])
-        sizes = n, rows + len(linear) + len(bounds), (m + 1,) * (len(cones) // (m + 1))
         return ConicProgram(q, A, b, *sizes, P=P)
 
     def _limit_rows(
-        self, free: Float[Array, "instants n"], limited: Int[Array, " limited"], others: int
-    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Return rows and right-hand sides of limits and norms: inequalities, then cones.
+        self, free: Float[Array, "instants n"], limited: Int[Array, " limited"]
+    ) -> list[list[tuple[SparseRows, Array]]]:
+        """Return rows and right-hand sides of limits and norms: inequalities, and cones.
 
         Limits of the norm ∞ on controls are the bounds of the unknowns.
         """
         transfer, R = self.transfer, self.transfer.response_matrices[0]
-        (T, _, m), limit = transfer.model.B.shape, transfer.control_limit
-        controls = limit.shares[:, None] * np.eye(T * m).reshape(T, m, T * m)
-        still, norm = np.zeros((T, m)), Limit(1.0, transfer.fuel_norm, m)
-        each = [(transfer.speed_limit, limit.most * R[limited, m:], free[limited, m:])]
-        if limit.norm != "inf":
-            share = limit.shares if np.ndim(limit.bound) else 1.0
-            each.append((Limit(share, limit.norm, m), controls, still))
+        (T, _, m), is_signed = transfer.model.B.shape, transfer.has_signed_controls
+        limit, speed = transfer.control_limit, transfer.speed_limit
+        rows, rhs = speed.constrain(limit.most * R[limited, m:], free[limited, m:])
+        signed = np.hstack([-rows, rows]) if is_signed else -rows
+        kinds: list[list[tuple[SparseRows, Array]]] = [[], []]
+        kinds[speed.faces is None].append((SparseRows.from_dense(signed), rhs))
+        share = limit.shares if np.ndim(limit.bound) else 1.0
+        each = [(Limit(share, limit.norm, m), False)] if limit.norm != "inf" else []
         if self.own_unknowns > self.unknown_controls:
-            each.append((norm, controls, still))
-        found: tuple[list[Any], list[Any]] = ([], [])
-        for bound, response, drift in each:
-            rows, rhs = bound.constrain(response, drift)
-            on_others = np.zeros((len(rows), others))
-            if bound is norm:  # at most another unknown
-                step = np.arange(len(rows)) // (len(rows) // T)
-                on_others[np.arange(len(rows)), step] = -rhs
+            each.append((Limit(1.0, transfer.fuel_norm, m), True))
+        for bound, is_of_norms in each:
+            rows, rhs = bound.constrain(np.diag(limit.shares)[None], np.zeros((1, m)))
+            part = SparseRows.from_steps(-rows, T)
+            if is_signed:
+                part = part.join(SparseRows.from_steps(rows, T), T * m)
+            if is_of_norms:  # at most another unknown
+                part = part.join(SparseRows.from_steps(-rhs[:, None], T), self.unknown_controls)
                 rhs = np.zeros_like(rhs)
-            signed = (-rows, rows)[: 1 + transfer.has_signed_controls]
-            found[bound.faces is None].append((np.hstack([*signed, on_others]), rhs))
-        none = np.zeros((0, self.unknown_controls + others)), np.zeros(0)
-        (linear, linear_rhs), (cones, cones_rhs) = (zip(none, *kind, strict=True) for kind in found)
-        inequalities = np.concatenate(linear), np.concatenate(linear_rhs)
-        return inequalities, (np.concatenate(cones), np.concatenate(cones_rhs))
+            kinds[bound.faces is None].append((part, np.tile(rhs, T)))
+        return kinds
 
 
 def solve_condensed(
@@ -356,21 +357,3 @@ def cost_unit(problems: Sequence[AvoidanceProblem]) -> float:
         least = float(compute_energy(u, transfer.model.dt))
         total += min(max(least, MIN_ENERGY_UNIT * of_a_step), N * of_a_step)
     return 4.0 ** floor(log(total, 4))  # the same for agents that move about as far
-
-
-def stack_with_bounds(
-    above: Float[Array, "first n"], count: int, below: Float[Array, "last n"]
-) -> csc_array:
-    """Stack rows, x ≤ 1 for the first unknowns, x ≥ 0 for all, and rows, as a sparse matrix."""
-    first, columns = above.shape
-    own, last = np.arange(columns), first + count + columns
-    value = np.vstack([above, own < count, -np.ones(columns), below]).T
-    row = np.vstack([
-        np.broadcast_to(np.arange(first)[:, None], above.shape),
-        first + own,
-        first + count + own,
-        np.broadcast_to(last + np.arange(len(below))[:, None], below.shape),
-    ]).T  # fmt: skip
-    there = value != 0
-    starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
-    return csc_array((value[there], row[there], starts), shape=(last + len(below), columns))

@@ -69,6 +69,8 @@ def _bound(
         size = vector_norm(v, dual)
         size[~(size.max(axis=1) > 0)] = 1.0  # where there is nothing to move
         lower = np.maximum(lower, (λ * b).sum(axis=1) / size.sum(axis=1))
+        # By a power of 2, which changes no digit: λ would grow with each round.
+        size = np.ldexp(size, -np.frexp(size.max(axis=1, keepdims=True))[1])
         weight = 1 / (size + SMOOTHING * size.max(axis=1, keepdims=True))
         gram = (weight @ squares).reshape(len(b), s, s)
         λ = np.linalg.solve(gram, b[..., None])[..., 0]

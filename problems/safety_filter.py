@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from problems.avoidance import stack_with_bounds
 from problems.conic import ConicProgram
 from problems.constraint_generation import Goal, try_generating
 from problems.half_spaces import HalfSpaces
 from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
+from problems.sparse_rows import SparseRows, stack_with_bounds
 from problems.transfer import Solver, Trajectory, TransferProblem, solve_within_speed
 
 VIOLATION_TOLERANCE = 1e-9  # of the largest state: a half-space violated by more is added
@@ -105,24 +105,24 @@ class SafetyFilterProblem:
         zero = np.vstack([_on_both_signs(R[T, m:], 2 * n), np.hstack([R[k], -R[k], errors])])
         zero_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
-        found = [(-limit.most * coeffs, rhs)], [(np.zeros((0, N)), np.zeros(0))]
-        controls = limit.most * limit.shares[:, None] * np.eye(N).reshape(T, m, N)
-        speeds = transfer.speed_limit, R[1:T, m:], free[1:T, m:]
-        for bound, response, drift in ((limit, controls, np.zeros((T, m))), speeds):
-            # The unknowns' own bounds are those of the norm ∞ of the controls.
-            if isfinite(bound.most) and not (bound is limit and bound.norm == "inf"):
-                rows, rows_rhs = bound.constrain(response, drift)
-                found[bound.faces is None].append((-rows, rows_rhs))
-        (linear, linear_rhs), (cones, cones_rhs) = (
-            map(np.concatenate, zip(*kind, strict=True)) for kind in found
-        )
-        above, below = (_on_both_signs(rows, 2 * n) for rows in (linear, cones))
-        A = stack_with_bounds(np.vstack([zero, above]), 2 * N, below)
-        b = [zero_rhs, linear_rhs, np.ones(2 * N), np.zeros(2 * N + 2 * n), cones_rhs]
+        kinds: tuple[list[tuple[SparseRows, Array]], ...] = ([], [])
+        kinds[0].append((SparseRows.from_dense(-limit.most * coeffs), rhs))
+        if isfinite(limit.most) and limit.norm != "inf":  # whose limits are the unknowns' bounds
+            controls = np.diag(limit.most * limit.shares)[None]
+            rows, more = limit.constrain(controls, np.zeros((1, m)))
+            part = SparseRows.from_steps(-rows, T), np.tile(more, T)
+            kinds[limit.faces is None].append(part)
+        if isfinite(transfer.speed_limit.most):
+            rows, more = transfer.speed_limit.constrain(R[1:T, m:], free[1:T, m:])
+            kinds[transfer.speed_limit.faces is None].append((SparseRows.from_dense(-rows), more))
+        linear, cones = ([part.join(part.negate(), N) for part, _ in kind] for kind in kinds)
+        linear_rhs, cones_rhs = ([more for _, more in kind] for kind in kinds)
+        parts = SparseRows.from_dense(zero), linear, cones
+        A, sizes = stack_with_bounds(*parts, 2 * N, 2 * N + 2 * n, m + 1)
+        b = [zero_rhs, *linear_rhs, np.ones(2 * N), np.zeros(2 * N + 2 * n), *cones_rhs]
         weight, fuel = np.repeat([1.0, dt], m), self._fuel_weight * dt * limit.most
         q = np.concatenate([np.tile(fuel * limit.shares, 2 * T), weight, weight])
-        nonnegative, sizes = A.shape[0] - len(zero) - len(below), (m + 1,) * (len(below) // (m + 1))
-        return ConicProgram(q, A, np.concatenate(b), len(zero), nonnegative, sizes)
+        return ConicProgram(q, A, np.concatenate(b), *sizes)
 
 
 def _on_both_signs(rows: Float[Array, "rows controls"], more: int) -> Float[Array, "rows unknowns"]:

@@ -93,7 +93,7 @@ def run(
         bool, Option("--free-running", help="Each vehicle a process, by the clock.")
     ] = False,
     port: Annotated[
-        int | None, Option(min=1, max=65535, help="Port of processes; any that is free.")
+        int | None, Option(min=1, max=65535, help="Port of processes; a socket.")
     ] = None,
     speed: Annotated[
         float, Option(min=1e-3, max=1e3, help="Of processes that run freely, over the clock's.")

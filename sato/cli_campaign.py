@@ -78,9 +78,12 @@ def run_command(
     echo(_describe(folder))
     echo(str(folder))
     with open_table(folder) as table:
-        exits = table.exits()
+        exits, has_columns = table.exits(), table.has_further_columns()
     if exits and not any(exits[name] for name in SUCCESSES):
         echo(f"sato: none of {exits.total()} runs succeeded", err=True)
+        raise Exit(EXIT_FAILED)
+    if exits and not has_columns:
+        echo("sato: the function of columns failed in all runs: see columns_error", err=True)
         raise Exit(EXIT_FAILED)
 
 

@@ -9,14 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import rmtree
-from tempfile import TemporaryDirectory, mkdtemp
+from tempfile import TemporaryFile, mkdtemp
 from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import typer
 from typer.core import TyperGroup
 
-from sato.atomic import PREFIX
 from sato.scenario.errors import InputError, ScenarioError, explain
 from sato.terminal import echo, use_ascii_where_needed
 
@@ -79,7 +78,7 @@ def ensure_writable(folder: Path) -> None:
     """Refuse a folder where nothing can be written, neither in it nor where it is to be."""
     try:
         existing = next(path for path in (folder, *folder.parents) if path.exists())
-        TemporaryDirectory(prefix=PREFIX, dir=existing).cleanup()
+        TemporaryFile(dir=existing).close()  # of which nothing is left, however a process ends
     except OSError as error:
         reason = f"{folder}: cannot be written to: {error.strerror}; --out takes another place"
         raise InputError("", reason) from error

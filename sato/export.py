@@ -23,6 +23,7 @@ from dynamics.doors import checked
 from sato.atomic import replace_atomically
 from sato.run_data import RunData
 from sato.scenario.errors import InputError, join_names
+from sato.terminal import as_line
 
 if TYPE_CHECKING:
     from sato.scene import SwarmScene
@@ -139,7 +140,7 @@ def format_utc(data: RunData, time: Float[Array, " k"]) -> list[str]:
 def format_oem(data: RunData, track: Ephemeris) -> str:
     """Format an object's trajectory as a CCSDS OEM in key-value notation [CCSDS502, 5]."""
     times, about = format_utc(data, track.time), data.attrs
-    center = str(about.get("center", EARTH))
+    center = _as_field(str(about.get("center", EARTH)))
     title = f"{about['name']}, seed {about['seed']}, by sato {about['version']}"
     meta = {
         "OBJECT_NAME": track.name,
@@ -154,7 +155,7 @@ def format_oem(data: RunData, track: Ephemeris) -> str:
         meta |= {"INTERPOLATION": "HERMITE", "INTERPOLATION_DEGREE": "3"}
     lines = [
         "CCSDS_OEM_VERS = 2.0",
-        f"COMMENT {title.encode('ascii', 'replace').decode()}",
+        f"COMMENT {_as_field(title)}",
         f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}",
         "ORIGINATOR = SATO",
         "",
@@ -170,6 +171,10 @@ def format_oem(data: RunData, track: Ephemeris) -> str:
     for time, state in zip(times, states, strict=True):
         lines.append(" ".join([time, *(f"{value:.15e}" for value in state)]))
     return "\n".join(lines) + "\n"
+
+
+def _as_field(text: str) -> str:
+    return as_line(text).encode("ascii", "replace").decode()
 
 
 def _write_oem(data: RunData, folder: Path) -> None:

@@ -20,6 +20,12 @@ def check_regular(path: Path) -> int:
     return status.st_size
 
 
+def check_no_link(path: Path, place: str) -> None:
+    """Refuse a link inside a folder that anybody may have made."""
+    if path.is_symlink():
+        raise InputError("", f"{path}: is a link, and none is followed in {place}")
+
+
 def check_size(name: object, size: float, packed: float = 0.0) -> None:
     """Refuse contents that take too much memory [byte], also for the size of their file [byte]."""
     if size > max(_read_limit(), UNPACKING * packed):

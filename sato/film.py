@@ -19,8 +19,8 @@ from sato.figures.axes import (
     Projection,
     add_axes,
     add_legend,
+    as_label,
     draw_paths,
-    escape_formulas,
     set_axis_bounds,
 )
 from sato.figures.panels import mark_broken
@@ -102,7 +102,7 @@ class SwarmFilm:
             style = {"marker": MARKERS[number], "color": color, "ls": "", "ms": 4.2, "mew": 0}
             ax.plot(*place[values == number].T / scale, **style, zorder=3)
         ax.plot(*place[status == LOST].T / scale, "x", color=DARK_GRAY, ms=4.5, mew=1.1, zorder=2)
-        stage = [escape_formulas(name) for start, name in scene.stages if start <= time]
+        stage = [as_label(name) for start, name in scene.stages if start <= time]
         words = [*stage[-1:], f"t = {self._view.format_time(round(time, 1))}"]
         words.append(f"{int((status == ALIVE).sum())} vehicles")
         for promise in scene.broken:

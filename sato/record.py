@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,7 @@ from dynamics.doors import check_methods, checked
 from sato.atomic import remove_leftovers, replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
-from sato.files import read_text
+from sato.files import check_no_link, read_text
 from sato.interfaces import HELD, Frame, FrameT, MissionT, Recorded, System
 from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
@@ -106,13 +106,15 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     plain = json.loads(json.dumps(summary, default=json_default))
     plain |= {"digest": data.attrs["digest"]} if "digest" in data.attrs else {}
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
-    with replace_atomically(folder / RUN_FILE) as file:
+    others = _iterate_others(folder, data.attrs.get("digest", "without a digest"))
+    with replace_atomically(folder / RUN_FILE, others) as file:
         file.write_bytes(data.to_netcdf())
-        own = find_drawn(folder, data.attrs.get("digest", "without a digest"))
-        for path in {*find_drawn(folder), folder / SUMMARY_FILE}.difference(own):
-            path.unlink(missing_ok=True)
     with replace_atomically(folder / SUMMARY_FILE) as file:
         file.write_text(text, encoding="utf-8")
+
+
+def _iterate_others(folder: Path, digest: object) -> Iterator[Path]:
+    yield from {*find_drawn(folder), folder / SUMMARY_FILE}.difference(find_drawn(folder, digest))
 
 
 def drawn_mark(digest: object = "") -> str:
@@ -163,9 +165,9 @@ def _read_data(path: Path, file: Path) -> RunData:
 
     if not file.exists():
         raise RunFileError(f"{file}: there is no such run file; `sato run` writes one")
-    if path.is_dir() and file.is_symlink():
-        raise RunFileError(f"{file}: is a link, and none is followed in the folder of a run")
     try:
+        if path.is_dir():
+            check_no_link(file, "the folder of a run")
         data = read_run_file(file)
     except InputError as error:
         raise RunFileError(str(error)) from error

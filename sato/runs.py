@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -33,11 +32,12 @@ from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError
-from sato.scenario.file import Mission, describe_own, from_dict, parse_embedded, read
+from sato.scenario.file import NO_MISSION, Mission, describe_own, from_dict, parse_embedded, read
 from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
 from sato.summary import summary_rows
 from sato.systems import load_system
+from sato.terminal import as_html
 
 if TYPE_CHECKING:  # slow to import
     import matplotlib.figure
@@ -88,7 +88,8 @@ class Run:
             RunFileError: The run was loaded without its mission, parts of which no file can hold.
         """
         if self.mission is None:
-            raise record.RunFileError(describe_own(str(self.recorded.attrs["scenario"])))
+            scenario = str(self.recorded.attrs["scenario"])
+            raise record.RunFileError(describe_own(scenario) or NO_MISSION)
         return self.mission.draw(np.random.default_rng(int(self.recorded.attrs["seed"])))
 
     @property
@@ -206,7 +207,7 @@ class Run:
         return "\n".join([self.report.line, *lines])
 
     def _repr_html_(self) -> str:
-        return f"<pre>{escape(repr(self))}</pre>"
+        return f"<pre>{as_html(repr(self))}</pre>"
 
 
 @checked
@@ -240,13 +241,17 @@ def run(
             and those of a solver or of `progress` are counted; the first is shown.
         processes: Fly each vehicle of a reconfiguration as a process of its own, in lock step or
             free running. In a script this stands below `if __name__ == "__main__":`.
-        port: Port of the loopback interface by which processes talk; any that is free by default.
+        port: Port of the loopback interface by which processes talk; by default they do by a
+            socket that no other user can open.
         speed: Factor by which processes that run freely are faster than the clock.
 
     Raises:
         ValueError: The scenario cannot be flown; nothing was.
     """
     began = perf_counter()
+    if processes is None and (port is not None or speed != 1):
+        reason = 'is of processes, and has no effect without; processes = "free-running" would do'
+        raise InputError("speed" if port is None else "port", reason)
     overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.
     quiet_blas = threadpool_limits(1, user_api="blas")

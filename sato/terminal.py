@@ -1,16 +1,17 @@
-"""Text on a terminal: no character of a file or a message commands it, and all can be written."""
+"""Text on terminals and in pages: no character of a file or a message commands them."""
 
 import codecs
 import re
 import sys
+from html import escape
 from unicodedata import name, normalize
 
 import typer
 
-# Controls but tab and newline, marks of direction, tags, halves of a pair.
+# Controls but tab and newline, marks of direction, tags, halves of a pair, no characters.
 _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff]"
-    "|[\ufff9-\ufffb\U000e0000-\U000e0fff]"
+    "|[\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e0fff]"
 )
 _ASCII = {
     "λ": "lambda",
@@ -30,6 +31,16 @@ STAND_IN = "sato.ascii"  # name of the error handler
 def as_plain(text: str) -> str:
     """Return text with its control characters spelled out, as those of terminals by ESC are."""
     return _COMMANDS.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
+
+
+def as_line(text: str) -> str:
+    """Return text as one line without control characters."""
+    return as_plain(" ".join(text.split()))
+
+
+def as_html(text: str) -> str:
+    """Return text for a page, in which it is no markup."""
+    return escape(as_plain(text))
 
 
 def echo(text: str, err: bool = False, nl: bool = True) -> None:

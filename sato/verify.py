@@ -9,14 +9,20 @@ import numpy as np
 
 from dynamics.callbacks import CallbackError
 from sato.check import common
-from sato.check.report import Promise, Report, expect_none
+from sato.check.report import JUDGED, Promise, Report, expect_none
 from sato.damage import find_damage
 from sato.record import RunFileError, RunRecord, initial_summary
 from sato.run_data import RunData
 from sato.scenario.errors import InputError
-from sato.scenario.file import describe_own, load_toml
+from sato.scenario.file import NO_MISSION, describe_own, load_toml
 from sato.scenario.origin import Origin
 from sato.systems import load_system
+
+# Entries of summaries that earlier versions of this format did not write.
+LATER = {
+    "chattering", "cautious", "command_change_m_s", "followed", "fuel_lower_bound_asked_m_s",
+    "margin_m", "position_tolerance_m", "reached", "velocity_tolerance_m_s",
+}  # fmt: skip
 
 
 def verify_run(
@@ -92,7 +98,8 @@ def _check_alone(data: RunData) -> Report:
     summary = common.common_summary(data.attrs, frames.alive)
     every, checked = load_system(data.attrs["system"]).promises, [each.name for each in promises]
     skipped = tuple(name for name in (*every, "summary") if name not in checked)
-    return Report(tuple(promises), summary, skipped, describe_own(str(data.attrs["scenario"])))
+    reason = describe_own(str(data.attrs["scenario"])) or NO_MISSION
+    return Report(tuple(promises), summary, skipped, reason)
 
 
 def _check_summary(
@@ -105,9 +112,11 @@ def _check_summary(
     expected = first | report.entries
     # Of a run that was altered, or saved without its mission, these tell it now, not then.
     is_told = is_unaltered and not unchecked.items() <= summary.items()
-    judged = () if is_told else ("broken", "verdict", "success")
-    names = [name for name in {**expected, **summary} if name not in judged]
     both = expected.keys() & summary.keys()
+    is_early = "verdict" not in summary  # when a success could be a collision
+    judged = () if is_told and not is_early else JUDGED
+    later = LATER - summary.keys() if is_early else ()
+    names = [name for name in {**expected, **summary} if name not in {*judged, *later}]
     wrong = [n for n in names if n not in both or _differs(summary[n], expected[n])]
     text = "entries of summary.json that are missing or differ from the data"
     text += f": {', '.join(wrong)}" * bool(wrong)

@@ -3,10 +3,17 @@
 import multiprocessing
 import signal
 import sys
+from contextlib import ExitStack
+from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
+from sato.atomic import open_scratch
 from sato.scenario.errors import InputError
+
+PREFIX = "sato-w-"  # of folders with sockets of processes; short, for their paths have 107 letters
 
 
 def make_context(preloaded: list[str]) -> Any:
@@ -16,6 +23,17 @@ def make_context(preloaded: list[str]) -> Any:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(preloaded)
     return context
+
+
+@cache
+def place_sockets() -> None:
+    """Put the sockets of processes where the next command finds them, if this one is killed."""
+    process: Any = multiprocessing.current_process()
+    if "tempdir" not in process._config:
+        stack = ExitStack()
+        folder = stack.enter_context(open_scratch(Path(gettempdir()), PREFIX))
+        process._config["tempdir"] = str(folder)
+        Finalize(None, stack.close, exitpriority=-100)  # after those that use it
 
 
 def check_guard() -> None:

@@ -4,10 +4,19 @@ import fcntl
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from sato.atomic import PREFIX, remove_leftovers, replace_atomically, replace_together
+from sato.atomic import (
+    PREFIX,
+    is_held,
+    remove_leftovers,
+    replace_atomically,
+    replace_together,
+)
 
 WRITE_AND_DIE = """
 import os, sys
@@ -134,7 +143,7 @@ def test_files_are_replaced_together_and_old_ones_go(tmp_path):
     assert contents(tmp_path) == dict.fromkeys("abc", "new") | {"mine": "former"}
 
 
-@pytest.mark.parametrize("count", range(7))
+@pytest.mark.parametrize("count", range(8))
 def test_files_stay_together_wherever_their_replacement_stops(tmp_path, count, monkeypatch):
     former = dict.fromkeys(("a", "b", "old"), "former")
     for name, text in former.items():
@@ -148,41 +157,108 @@ def test_files_stay_together_wherever_their_replacement_stops(tmp_path, count, m
         rename(*paths)
 
     monkeypatch.setattr(os, "rename", stop)
-    if count == 6:  # three are moved away, and three into place
+    with pytest.raises(KeyboardInterrupt) if count < 7 else nullcontext():
         write_all(tmp_path)
-        assert contents(tmp_path) == dict.fromkeys("abc", "new")
-    else:
-        with pytest.raises(KeyboardInterrupt):
-            write_all(tmp_path)
-        assert contents(tmp_path) == former
+    # Three are moved away, their folder is renamed, and three are moved into place.
+    assert contents(tmp_path) == (former if count < 4 else dict.fromkeys("abc", "new"))
 
 
 KILLED = """
 import os, sys
 from pathlib import Path
-from sato.atomic import replace_together
-count, rename = int(sys.argv[2]), os.rename
-def die(*paths):
-    global count
-    if count == 0:
-        os.kill(os.getpid(), 9)
-    count -= 1
-    rename(*paths)
-os.rename = die
-folder = Path(sys.argv[1])
-with replace_together(folder) as new:
+from sato.atomic import replace_atomically, replace_together
+folder, count = Path(sys.argv[1]), int(sys.argv[2])
+def die(move):
+    def count_down(*paths):
+        global count
+        if count == 0:
+            os.kill(os.getpid(), 9)
+        count -= 1
+        move(*paths)
+    return count_down
+os.rename, os.replace = die(os.rename), die(os.replace)
+"""
+WRITE_TOGETHER = """
+with replace_together(folder, [folder / "old"]) as new:
     for name in ("a", "b"):
         (new / name).write_text("new")
 """
+WRITE_FOLDER = """
+with replace_atomically(folder / "oem", [folder / "old"]) as new:
+    new.mkdir()
+    (new / "a").write_text("new")
+"""
+
+
+@pytest.mark.parametrize("count", range(7))
+def test_next_command_finishes_or_undoes_what_a_killed_one_has_moved(tmp_path, count):
+    for name in ("a", "b", "old"):
+        (tmp_path / name).write_text("former")
+    subprocess.run([sys.executable, "-c", KILLED + WRITE_TOGETHER, tmp_path, str(count)])
+    left = {path.read_text() for path in tmp_path.iterdir() if path.is_file()}
+    assert len(left) < 2
+    remove_leftovers(tmp_path)
+    is_new = count > 3  # three are moved away, and their folder is renamed
+    names = "ab" if is_new else ("a", "b", "old")
+    assert contents(tmp_path) == dict.fromkeys(names, "new" if is_new else "former")
 
 
 @pytest.mark.parametrize("count", range(4))
-def test_a_process_killed_amid_a_replacement_leaves_no_mixture(tmp_path, count):
-    for name in ("a", "b"):
-        (tmp_path / name).write_text("former")
-    subprocess.run([sys.executable, "-c", KILLED, tmp_path, str(count)])
-    left = {path.read_text() for path in tmp_path.iterdir() if path.is_file()}
-    assert len(left) < 2
+def test_folder_of_which_a_replacement_was_killed_comes_back(tmp_path, count):
+    (tmp_path / "oem").mkdir()
+    for path in (tmp_path / "oem" / "a", tmp_path / "old"):
+        path.write_text("former")
+    subprocess.run([sys.executable, "-c", KILLED + WRITE_FOLDER, tmp_path, str(count)])
+    remove_leftovers(tmp_path)
+    is_new = count == 3
+    assert (tmp_path / "oem" / "a").read_text() == ("new" if is_new else "former")
+    assert {path.name for path in tmp_path.iterdir()} == ({"oem"} if is_new else {"oem", "old"})
+
+
+@pytest.mark.parametrize("is_own", [True, False])
+def test_what_was_moved_comes_back_from_an_own_leftover_alone(tmp_path, is_own, monkeypatch):
+    place = tmp_path / f"{PREFIX}dead"
+    for name in ("new", "former"):
+        (place / name).mkdir(parents=True)
+        (place / name / "a").write_text(name)
+    if not is_own:  # somebody else's, in a folder for all
+
+        def stat(path, **options):
+            found = os.stat(path, **options)
+            return SimpleNamespace(st_uid=found.st_uid + (path == place), st_mode=found.st_mode)
+
+        monkeypatch.setattr(Path, "stat", stat)
+    remove_leftovers(tmp_path)
+    monkeypatch.undo()
+    assert contents(tmp_path) == ({"a": "former"} if is_own else {})
+
+
+def test_what_another_writer_has_written_meanwhile_stays(tmp_path):
+    place = tmp_path / f"{PREFIX}dead"
+    for name in ("new", "former"):
+        (place / name).mkdir(parents=True)
+        (place / name / "a").write_text(name)
+    (tmp_path / "a").write_text("latest")
+    remove_leftovers(tmp_path)
+    assert contents(tmp_path) == {"a": "latest"}
+
+
+def test_lock_is_held_as_long_as_its_process_lives(tmp_path):
+    text = (
+        "import sys; from pathlib import Path; from sato.atomic import open_scratch\n"
+        "with open_scratch(Path(sys.argv[1])) as place: print(place, flush=True); input()"
+    )
+    words, pipe = [sys.executable, "-c", text, tmp_path], subprocess.PIPE
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, text=True) as process:
+        place = Path(process.stdout.readline().strip())
+        remove_leftovers(tmp_path)
+        assert is_held(place)
+        process.kill()
+        while process.poll() is None:
+            pass
+    assert place.exists() and not is_held(place) and not is_held(tmp_path / "gone")
+    remove_leftovers(tmp_path)
+    assert not place.exists()
 
 
 def test_a_folder_of_the_name_of_a_new_file_is_not_replaced(tmp_path):

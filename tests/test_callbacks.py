@@ -111,6 +111,7 @@ def lacking(name, value, **more):
         (lacking("A", Drag().A(0.0) @ np.diag([1, 1, 1, 100])), "rate of the position"),
         (lacking("A", np.eye(4, 4, 2) - 10 * np.diag([0, 0, 1, 1])), "step_s = 0.1 would do"),
         (lacking("axes", None, axes=4), r"Own\.axes must be 2 or 3, got 4"),
+        (lacking("axes", None, axes=2.0), r"Own\.axes must be 2 or 3, got 2\.0"),
         (sato.SymbolicModel(2, lambda t, x, u: casadi.horzcat(x[2:].T, u.T)), r"\(1, 4\)"),
         (sato.SymbolicModel(2, lambda t, x, u: u), "column of 4 entries, got SX of shape"),
         (

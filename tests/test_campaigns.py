@@ -308,6 +308,8 @@ def test_columns_that_no_table_holds_are_refused_in_words():
     for column in (10**400, object(), 1j):
         with pytest.raises(InputError, match="must be a dict of numbers, text and lists"):
             trials._as_columns({"a": column})
+    with pytest.raises(InputError, match="differ by their case alone"):
+        trials._as_columns({"fuel": 1, "Fuel": 2})
 
 
 def test_a_mission_that_is_refused_is_a_row():
@@ -323,6 +325,20 @@ def test_a_function_may_draw_missions():
 
 def draw_mission(rng: np.random.Generator):
     return sato.read("conflict", [f"comm_radius_m={rng.uniform(3.0, 3.2)}"])
+
+
+def leave(rng: np.random.Generator):
+    sys.exit(0)
+
+
+def test_a_function_that_ends_the_process_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"leave raises SystemExit: 0"):
+        sato.campaign(leave, out=tmp_path)
+
+
+def test_more_workers_than_a_machine_has_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"workers: must be at most 1024, got 1000000"):
+        fly_campaign(campaign(), tmp_path, workers=10**6)
 
 
 def test_commands_tell_the_state_of_a_campaign(flown):

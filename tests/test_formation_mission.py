@@ -125,6 +125,14 @@ def test_impossible_mission_is_refused_with_the_key_and_a_cure(files, overrides,
         drawn(*overrides.split("\n"))
 
 
+@pytest.mark.parametrize("step", [0.03, 0.007, 0.0123])
+def test_a_rate_of_messages_that_would_do_is_taken(step):
+    with pytest.raises(ScenarioError, match=r"([\d.]+) would do") as refused:
+        parse(SIX, [f"step_s={step}"])
+    rate = str(refused.value).split()[-3]
+    assert parse(SIX, [f"step_s={step}", f"rate_hz={rate}"]).radio.message_rate == float(rate)
+
+
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_built_in_mission_and_its_draw_survive_their_own_text(name):
     mission = read(name)

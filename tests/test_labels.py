@@ -66,6 +66,9 @@ def listed(folder, text, **given):
         ("1,2,\n3,4,\n,,\n", [[1, 2], [3, 4]]),
         ("# 0,0\n# Team A, Berlin\n1,2\n3,4\n", [[1, 2], [3, 4]]),
         ("# y | x\n1 2\n3 4\n", [[2, 1], [4, 3]]),
+        ("# columns: y x\n1,2\n3,4\n", [[2, 1], [4, 3]]),
+        ("# Team: A, Berlin, on 2 min of battery\n1,2\n3,4\n", [[1, 2], [3, 4]]),
+        ("1,5,6\n", [[1, 5, 6]]),
         ("# flown 2 km away\ny_cm,x_m\n100,2\n", [[2, 1]]),
         ("0,1\n2,1\n", [[0, 1], [2, 1]]),
         ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
@@ -103,11 +106,16 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("places\nx,y\n0,1\n", 'column "places" is not known'),
         ("x,y\n1_0,2\n", "line 2: not numbers"),
         ("0,1\n1.5,2.5\n", "0,1 may be names or a point; name the columns, x,y, or write 0.0,1.0"),
-        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_km or x_m'),
+        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_mm, x_m or'),
+        ("# all in millimetres\n1,2\n", 'a comment has the unit "millimetres"'),
+        ("x,y\n1,2\n# in inches\n", 'a comment has the unit "inches"'),
+        ("# x y in degrees\nx,y\n1,2\n", 'a comment has the unit "degrees"'),
+        ("# axes: north east\n1,2\n", 'column "north" is of other axes'),
         ("# in mm\nx,y\n1,2\n", 'a comment has the unit "mm"'),
         ("x [m^-1],y\n1,2\n", "has the unit"),
         ("0,1.5,2.5\n", "first column, 0, 1, …, may number the rows or be x; name the columns"),
         ("0,1.5,2.5\n1,3.5,0.5\n", "id,x,y or x,y,z"),
+        ("1,1.5,2.5\n2,3.5,0.5\n", "the first column, 1, 2, …, may number the rows"),
         ("0,3,5\n1,4,5\n2,5,5\n", "may number the rows"),
         ("# x y\n# y x\n1 2\n3 4\n", 'two headers disagree; drop the comment "y x"'),
         ("# y,x\nx,y\n1,2\n3,4\n", "two headers disagree"),
@@ -382,6 +390,10 @@ def test_angles_beyond_two_turns_are_refused_as_degrees():
     for name in ("node", "perigee", "anomaly", "inclination"):
         with pytest.raises(sato.InputError, match=rf"{name}_rad: .* np\.radians\(30\)"):
             sato.Chief(semi_major_axis=7e6, **{name: 30.0})
+    with pytest.raises(sato.InputError, match=r"latitude_rad: .* np\.radians\(30\)"):
+        sato.Chief(radius=7e6, radial_speed=0.0, angular_momentum=5.3e10, latitude=30.0)
+    with pytest.raises(sato.InputError, match=r"yaw_error_rad: .* np\.radians\(10\)"):
+        sato.Connectivity(yaw_error=10.0)
     with pytest.raises(sato.InputError, match=r"yaw: .* np\.radians\(90\)"):
         FrameSettings(yaw=np.array([0.0, 90.0, 45.0]))
     assert sato.Orbit.from_elements(7e6, true_anomaly=4 * np.pi).arg_latitude == 4 * np.pi

@@ -35,6 +35,15 @@ def test_steps_too_few_for_every_state_give_no_bound():
 
 
 @pytest.mark.parametrize("norm", [1, 2, "inf"])
+def test_bounds_scale_with_displacements_of_any_size(rng, norm):
+    steps, limit = discretize_zoh(DoubleIntegrator(2), 1.0, 20), Limit(1.0, norm, 2)
+    b = rng.normal(size=(4, 4))
+    bounds = np.array(bound_least_controls(steps, b, limit))
+    for scale in (2.0**-80, 2.0**80):
+        assert np.array_equal(bound_least_controls(steps, scale * b, limit), scale * bounds)
+
+
+@pytest.mark.parametrize("norm", [1, 2, "inf"])
 @pytest.mark.parametrize("name", MODELS)
 def test_least_control_of_each_norm_lies_between_its_bounds(rng, name, norm):
     model, h = MODELS[name]

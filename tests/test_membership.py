@@ -4,15 +4,26 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sato
+from sato.atomic import is_held
+from sato.processes.codec import encode
 from sato.processes.envelope import MAX_SIZE, OVERHEAD, VERSION, WORLD, Envelopes
-from sato.processes.fleet import Fleet
-from sato.processes.membership import KEY_FILE, Incarnation, create_key, is_running, read_key
+from sato.processes.fleet import Fleet, VehicleError
+from sato.processes.membership import KEY_FILE, Incarnation, create_key, read_key
+from sato.processes.messages import Status
 from sato.processes.network import load_zenoh
+from sato.processes.reports import check_status
+from sato.processes.vehicle import open_packet
+from sato.reconfiguration.agent_inputs import AgentMessage
+from sato.reconfiguration.stopping import Commitment
 from sato.scenario.errors import InputError
 
 KEY = bytes(range(32))
@@ -58,7 +69,7 @@ def test_envelopes_of_others_are_no_messages():
     old = bytearray(vehicle().seal(WORLD, b"x"))
     old[0] = VERSION + 1
     assert here.open(bytes(old)) is None
-    with pytest.raises(ValueError, match="a message of 8,000,000 bytes is more than"):
+    with pytest.raises(ValueError, match="a message of 2,000,000 bytes is more than"):
         vehicle().seal(WORLD, bytes(MAX_SIZE))
     assert here.open(bytes(MAX_SIZE + 1)) is None
 
@@ -69,6 +80,17 @@ def test_vehicle_that_starts_again_is_believed_and_its_past_is_not():
     assert here.open(past[1]) and here.open(past[0]) is None
     assert here.open(vehicle(incarnation=2).seal(WORLD, b"again")) == (0, b"again")
     assert here.open(past[2]) is None
+
+
+def test_vehicle_that_starts_again_hears_nothing_that_was_said_before():
+    here = world()
+    assert here.open(vehicle(incarnation=1).seal(WORLD, b""))
+    past = here.seal(0, b"past")
+    again = vehicle(incarnation=2)
+    assert again.open(past) is None
+    assert here.open(again.seal(WORLD, b""))
+    assert again.open(here.seal(0, b"now")) == (WORLD, b"now")
+    assert again.open(past) is None
 
 
 def test_key_is_read_by_its_owner_and_for_vehicles_of_the_flight(tmp_path):
@@ -100,25 +122,20 @@ def test_starts_of_a_vehicle_are_counted_and_it_is_there_once(tmp_path):
     first = Incarnation(tmp_path / KEY_FILE, 3)
     with pytest.raises(InputError, match="the process of vehicle 3 is there already"):
         Incarnation(tmp_path / KEY_FILE, 3)
+    assert is_held(tmp_path / "3")
     os.close(first._file)
+    assert not is_held(tmp_path / "3")
     assert (first.number, Incarnation(tmp_path / KEY_FILE, 3).number) == (1, 2)
     assert Incarnation(tmp_path / KEY_FILE, 0).number == 1
-
-
-def test_process_that_has_ended_is_not_running():
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    while is_running(process.pid):  # until it is a zombie
-        os.sched_yield()
-    process.wait()
-    assert not is_running(process.pid) and is_running(os.getpid()) and not is_running(2**70)
 
 
 def test_those_without_the_key_are_not_let_in():
     zenoh = load_zenoh()
     with Fleet("", 2) as fleet:
+        place = json.loads(fleet.key_file.read_text())["endpoint"]
         for password in (None, "guess"):
             config = zenoh.Config()
-            settings = {"mode": "client", "connect/endpoints": [f"tcp/127.0.0.1:{fleet.port}"]}
+            settings = {"mode": "client", "connect/endpoints": [place]}
             settings |= {"connect/timeout_ms": 300, "scouting/multicast/enabled": False}
             if password is not None:
                 settings |= {"transport/auth/usrpwd/user": "sato"}
@@ -131,9 +148,80 @@ def test_those_without_the_key_are_not_let_in():
     assert not fleet.key_file.exists()
 
 
+def test_next_flight_removes_the_folder_of_a_killed_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "sato-fleet-dead").mkdir()
+    (tmp_path / "sato-fleet-dead" / KEY_FILE).write_text("")
+    with Fleet("", 1) as fleet:
+        assert list(tmp_path.iterdir()) == [fleet.key_file.parent]
+    assert not list(tmp_path.iterdir())
+
+
+def test_next_command_removes_the_sockets_of_a_killed_one(tmp_path):
+    code = "from sato.workers import place_sockets; place_sockets(); import os, sys"
+    for end, count in (("os.kill(os.getpid(), 9)", 1), ("", 0)):
+        words = [sys.executable, "-c", f"{code}; {end}"]
+        subprocess.run(words, env=os.environ | {"TMPDIR": str(tmp_path)})
+        assert len(list(tmp_path.iterdir())) == count
+
+
 def test_number_that_no_vehicle_has_is_told_at_once(tmp_path):
     create_key(tmp_path, "mission", 4711, 2)
     command = [sys.executable, "-m", "sato", "vehicle", "7", "--key-file", tmp_path / KEY_FILE]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 2
     assert done.stderr == "sato: NUMBER: there is no vehicle 7; they are 0 to 1\n"
+
+
+def test_sender_that_floods_takes_no_room_of_others():
+    with Fleet("", 2) as fleet:
+        connection = fleet._connection
+        ends = [Envelopes(connection._envelopes._key, number, 1, [WORLD]) for number in (0, 1)]
+        most = encode(bytes(MAX_SIZE - 1000))
+        for end, content in [(ends[0], most)] * 5 + [(ends[1], encode("here"))]:
+            sealed = end.seal(WORLD, content)
+            payload = SimpleNamespace(to_bytes=lambda sealed=sealed: sealed)
+            connection._receive(SimpleNamespace(payload=payload))
+        senders = [connection.receive(0.0)[0] for _ in range(5)]
+        assert senders == [0, 0, 0, 0, 1] and connection.receive(0.0) is None
+
+
+STATUS = Status(
+    leg=0, is_leg_over=False, control=np.zeros(2), commitment=Commitment(3, np.zeros((4, 2))),
+    intended=None, target_index=0, target_count=2, clock=0, has_plan=True, decides=True,
+    calls=False, solves=0, blocked=(),
+    events=({"kind": "slack", "agents": [1], "amount_m": [0.1]},),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"leg": 1}, "reports what the mission has not: leg"),
+        ({"control": np.zeros(3)}, "reports what the mission has not: control"),
+        ({"target_index": 2}, "reports what the mission has not: target_index"),
+        ({"target_count": -1}, "reports what the mission has not: target_count"),
+        ({"blocked": (7,)}, "reports what the mission has not: blocked"),
+        ({"events": ({"kind": "forged", "agents": [1]},)}, "the mission has not: events"),
+        ({"events": ({"kind": "slack", "agents": [0]},)}, "the mission has not: events"),
+        ({"events": ({"kind": "slack", "agents": [1], "what": b""},)}, "has not: events"),
+        ({"events": ({},)}, "the mission has not: events"),
+        ({"commitment": Commitment(4, np.zeros((4, 2)))}, "commits to controls of shape"),
+        ({"intended": Commitment(-1, np.zeros((4, 2)))}, "commits to controls of shape"),
+        ({"commitment": Commitment(3, np.zeros((4, 3)))}, "commits to controls of shape"),
+    ],
+)
+def test_reports_that_the_mission_has_not_end_in_a_sentence(change, told):
+    mission = sato.read("crossing").draw(np.random.default_rng(0))
+    check_status(mission, 1, STATUS, 3)
+    with pytest.raises(VehicleError, match=f"vehicle 1 .*{told}"):
+        check_status(mission, 1, STATUS._replace(**change), 3)
+
+
+def test_packets_in_the_name_of_another_vehicle_are_refused():
+    packet = encode(AgentMessage(0, 0, 0, None))
+    assert open_packet(0, packet).sender == 0
+    with pytest.raises(ValueError, match="vehicle 1 sends a packet in the name of 0"):
+        open_packet(1, packet)
+    with pytest.raises(ValueError, match="vehicle 1 sends a packet in the name of float"):
+        open_packet(1, encode(1.0))

@@ -128,6 +128,13 @@ def test_values_of_the_users_own_are_named_and_skipped(name, tmp_path):
         sato.load(tmp_path / "run", mission=other)
 
 
+def test_a_run_without_its_mission_says_so():
+    run = replace(sato.run(sato.Reconfiguration(**PLAIN)), mission=None)
+    assert "were skipped, no mission is given" in run.report.line
+    with pytest.raises(sato.RunFileError, match="no mission is given"):
+        run.figures()
+
+
 def test_a_plant_of_the_library_is_not_said_to_be_the_users_own(tmp_path):
     sato.run(
         sato.Reconfiguration(**PLAIN | {"plant": sato.LinearPlant(sato.DoubleIntegrator(2))})

@@ -248,7 +248,7 @@ def test_what_a_killed_writer_left_goes_and_a_living_one_s_stays(folder):
     with replace_atomically(folder / "mine") as new:
         new.write_text("whole")
         sato.load(folder)
-        assert [path.name for path in folder.glob(f"{PREFIX}*")] == [new.parent.name]
+        assert [path.name for path in folder.glob(f"{PREFIX}*")] == [new.parents[1].name]
     assert (folder / "mine").read_text() == "whole" and not list(folder.glob(f"{PREFIX}*"))
 
 
@@ -283,12 +283,22 @@ def copied(campaign, tmp_path, *commands):
         "ALTER TABLE runs ADD COLUMN more AS (zeroblob(1000000000))",
         "ALTER TABLE runs ADD COLUMN more DEFAULT (1)",
         "ALTER TABLE runs RENAME TO more",
+        "ALTER TABLE runs RENAME COLUMN worker TO more",
     ],
 )
 def test_tables_of_a_campaign_are_plain(campaign, tmp_path, command):
     folder = copied(campaign, tmp_path, command)
     result = call("campaign", "status", folder)
     assert result.exit_code == 2 and "is no campaign, for" in result.output
+
+
+def test_names_of_columns_are_text(campaign, tmp_path):
+    folder = copied(campaign, tmp_path, 'ALTER TABLE runs ADD COLUMN "moreover" TEXT')
+    file = folder / "campaign.sqlite"
+    file.write_bytes(file.read_bytes().replace(b"moreover", b"more\xff\xfeer"))
+    for words in (("export", "--out", tmp_path / "c.csv"), ("table", "--rows"), ("status",)):
+        result = call("campaign", words[0], folder, *words[1:])
+        assert result.exit_code == 2 and "no text" in result.output
 
 
 @pytest.mark.parametrize(

@@ -324,7 +324,7 @@ def _tables_of(trial: Trial) -> Any:
         return trial._replace(parameters={}).build_mission()
     except CallbackError:
         raise
-    except Exception as error:  # whatever a function of the user's raises
+    except (Exception, SystemExit) as error:  # whatever a function of the user's raises
         reason = f"{trial.source} raises {type(error).__name__}: {error}"
         raise InputError("", reason) from error
 

@@ -11,15 +11,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from dynamics.doors import checked
-from sato.campaigns.definition import Campaign
+from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
 from sato.campaigns.trial import Flights, Outcome, TrialFunction, own_version, run_trial
+from sato.check.report import JUDGED
+from sato.files import check_no_link
 from sato.scenario.definition import Amount, Count, Positive
 from sato.scenario.errors import InputError, join_names
 from sato.scenario.file import describe_own, find_file, load_toml
 
 MOST_RUNS = 10**6
+MOST_WORKERS = 1024
 LOCK_FILE = "campaign.lock"
 
 # Called at first and after each row, with the number of rows by exit and of all runs.
@@ -162,7 +165,11 @@ def fly_again(
     if row["exit"] in (INTERRUPTED, "time limit"):
         return outcome, None
     cells = table.cells(given, outcome)
+    if text is not None and whole is not given:  # this version may spell out keys that are new
+        cells["scenario_hash"] = digest(text)
     names = {name for name, value in row.items() if value is not None} | set(cells)
+    if "verdict" not in row:  # of a version that had none, and fewer columns
+        names = names.intersection(row).difference(JUDGED)
     differing = {name for name in names if cells.get(name) != row.get(name)}
     return outcome, sorted(differing - {*MEASURED, "version", "error", "columns_error"})
 
@@ -172,8 +179,7 @@ def _check_trusted(
 ) -> None:
     called, place = table.campaign.functions, table.folder / "runs"
     for path in (place, place / str(number)):
-        if path.is_symlink():
-            raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+        check_no_link(path, "a campaign")
     if functions is not None:
         for name in called:
             module, _, called_name = name.partition(":")
@@ -228,6 +234,8 @@ def _connected(scheduler: str | None, workers: int | None) -> Iterator[Callable[
     if scheduler is None:
         has_affinity = hasattr(os, "sched_getaffinity")  # to the cores that this process may use
         cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+        if workers and workers > MOST_WORKERS:
+            raise InputError("workers", f"must be at most {MOST_WORKERS}, got {workers}")
         yield partial(fly_locally, workers or cores)
         return
     from sato.campaigns.cluster import connect, fly_on_cluster

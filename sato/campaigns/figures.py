@@ -19,10 +19,10 @@ from sato.campaigns.selection import (
     select,
 )
 from sato.campaigns.table import CampaignTable
+from sato.figures.axes import as_label
 from sato.figures.context import styled
 from sato.figures.style import BLUE, marker_style
 from sato.scenario.errors import InputError
-from sato.summary import format_value
 
 MAX_CURVES = 8  # of more groups, curves and marks cannot be told apart: all runs are one then
 COLUMNS = 3  # panels side by side
@@ -75,14 +75,15 @@ def draw_intervals(table: GroupTable) -> Figure:
     """Draw the rate or mean of each group with its 95 % interval, a panel a term."""
     by, terms, groups = table
     figure, axes = _make_panels(len(terms), GROUP_HEIGHT * len(groups) + 0.9)
-    rows, names = np.arange(len(groups)), [name_group(group.key) for group in groups]
-    axes[0].set_title(", ".join(by), loc="left")
+    rows, names = np.arange(len(groups)), [_name(group.key) for group in groups]
+    axes[0].set_title(as_label(", ".join(by)), loc="left")
     for column, (ax, term) in enumerate(zip(axes, terms, strict=True)):
         cells, scale = [group.cells[column] for group in groups], 100 if term.is_rate else 1
         low, high = scale * np.array([cell.interval for cell in cells]).T
         ax.hlines(rows, low, high, color=BLUE, lw=1.2)
         ax.plot([scale * cell.mean for cell in cells], rows, "o", ms=3.5, color=BLUE)
-        ax.set(xlabel=f"{term.label} [%]" if term.is_rate else f"{term.label}, mean")
+        label = as_label(term.label)
+        ax.set(xlabel=f"{label} [%]" if term.is_rate else f"{label}, mean")
         if term.is_rate:
             ax.set_xlim(-3, 103)
         ax.set_yticks(rows, names if column % COLUMNS == 0 else [])
@@ -98,8 +99,8 @@ def draw_distributions(table: GroupTable) -> Figure:
     for column, (ax, term) in enumerate(zip(axes, terms, strict=True)):
         for rank, group in enumerate(groups):
             if len(values := group.cells[column].values):
-                ax.ecdf(values, label=name_group(group.key), markevery=0.2, **_style(rank))
-        ax.set(xlabel=term.label, ylim=(-0.02, 1.02))
+                ax.ecdf(values, label=_name(group.key), markevery=0.2, **_style(rank))
+        ax.set(xlabel=as_label(term.label), ylim=(-0.02, 1.02))
         ax.set_ylabel("share of runs, at most" if column % COLUMNS == 0 else "")
     if len(groups) > 1:
         _add_legend(figure, axes[0], by)
@@ -115,8 +116,8 @@ def draw_scatter(by: Texts, terms: Sequence[Term], rows: Sequence[tuple[Any, ...
             points.setdefault(tuple(key), []).append((x, y))
     for rank, (key, pairs) in enumerate(points.items()):
         style = _style(rank) | {"ls": "", "alpha": 0.6, "mew": 0, "rasterized": True}
-        ax.plot(*zip(*pairs, strict=True), label=name_group(key), **style)
-    ax.set(xlabel=terms[0].label, ylabel=terms[1].label)
+        ax.plot(*zip(*pairs, strict=True), label=_name(key), **style)
+    ax.set(xlabel=as_label(terms[0].label), ylabel=as_label(terms[1].label))
     if len(points) > 1:
         _add_legend(figure, ax, by)
     return figure
@@ -140,10 +141,10 @@ def draw_heat_maps(table: GroupTable) -> Figure:
             if not np.isnan(value):
                 color = "white" if np.isfinite(value) and drawn.norm(value) < 0.5 else "black"
                 ax.text(x, y, f"{value:.3g}", color=color, ha="center", va="center", fontsize=7)
-        ax.set_xticks(range(len(xs)), map(format_value, xs))
-        ax.set_yticks(range(len(ys)), map(format_value, ys) if column % COLUMNS == 0 else [])
-        ax.set(xlabel=by[1], ylabel=by[0] if column % COLUMNS == 0 else "")
-        ax.set_title(term.title.replace("\n", ", ") + " [%]" * (term.statistic == "rate"))
+        ax.set_xticks(range(len(xs)), [_name([x]) for x in xs])
+        ax.set_yticks(range(len(ys)), [_name([y]) for y in ys] if column % COLUMNS == 0 else [])
+        ax.set(xlabel=as_label(by[1]), ylabel=as_label(by[0]) if column % COLUMNS == 0 else "")
+        ax.set_title(as_label(term.title.replace("\n", ", ")) + " [%]" * (term.statistic == "rate"))
         ax.spines[:].set_visible(False)
         figure.colorbar(drawn, ax=ax, shrink=0.8)
     return figure
@@ -163,7 +164,12 @@ def _add_legend(figure: Figure, ax: Any, by: Texts) -> None:
     handles, names = ax.get_legend_handles_labels()
     width = 0.5 + 0.075 * max(map(len, names), default=0)  # of an entry [in]
     columns = max(1, min(len(names), int(figure.get_figwidth() / width)))
-    figure.legend(handles, names, title=", ".join(by), loc="outside lower center", ncols=columns)
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": columns}
+    figure.legend(handles, names, title=as_label(", ".join(by)), **place)
+
+
+def _name(key: Sequence[Any]) -> str:
+    return as_label(name_group(key))
 
 
 def _style(rank: int) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 from sato.campaigns.trial import Flights, Outcome, Trial, TrialFunction, one_thread_each
 from sato.compilation import announce_all
 from sato.scenario.errors import InputError
-from sato.workers import check_guard, describe_exit, make_context
+from sato.workers import check_guard, describe_exit, make_context, place_sockets
 
 AHEAD = 2  # trials that each worker has, one of which waits, so that it is never idle
 PRELOADED = ["sato.campaigns.trial", "xarray"]  # by the process from which workers are forked
@@ -43,6 +43,7 @@ def fly_locally(
         WorkerError: Workers end before they begin.
     """
     check_guard()
+    place_sockets()
     context, remaining, futile = make_context(PRELOADED), iter(trials), 0
     again: list[Trial] = []  # trials of processes that died before they began
     flying: dict[ProcessFuture[Outcome], tuple[int, Trial]] = {}

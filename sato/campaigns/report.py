@@ -4,7 +4,6 @@ import json
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from html import escape
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -15,6 +14,7 @@ from sato.atomic import replace_atomically
 from sato.campaigns.figures import as_png, draw_campaign
 from sato.campaigns.selection import group_runs
 from sato.campaigns.table import SUCCESSES, CampaignTable
+from sato.terminal import as_html
 
 MAX_FAILURES = 500  # that are listed
 CAPTIONS = {
@@ -47,7 +47,7 @@ def write_report(table: CampaignTable, path: Path) -> Path:
             *(_format_figure(CAPTIONS[name], as_png(figure)) for name, figure in figures.items()),
             *_format_failures(table),
             "<h2>Definition</h2>",
-            f"<pre>{escape(_format_definition(table))}</pre>",
+            f"<pre>{as_html(_format_definition(table))}</pre>",
             "</body></html>\n",
         ]
     )
@@ -57,7 +57,7 @@ def write_report(table: CampaignTable, path: Path) -> Path:
 
 
 def _format_head(table: CampaignTable) -> list[str]:
-    name = escape(table.campaign.name)
+    name = as_html(table.campaign.name)
     exits = [f"{count} {exit}" for exit, count in table.exits().items()]
     runs = f"{len(table)} of {table.campaign.runs}: {', '.join(exits)}"
     facts = ["Runs", runs], ["Version", f"sato {table.version}"], ["Table", str(table.path)]
@@ -78,10 +78,10 @@ def _format_failures(table: CampaignTable) -> list[str]:
     cells = []
     for row, seed, parameters, exit, error in rows[:MAX_FAILURES]:
         values = _format_parameters(parameters)
-        last = (error or "").strip().rpartition("\n")[2]
+        last = str(error or "").strip().rpartition("\n")[2]
         trust = " --trust" if table.campaign.functions else ""
         again = f"sato campaign rerun {quote(str(table.folder.resolve()))} {row}{trust}"
-        cells.append([str(row), str(seed), values, exit, last, again])
+        cells.append([str(row), str(seed), values, str(exit), last, again])
     return [*lines, _format_table(head, cells)] if rows else lines
 
 
@@ -102,7 +102,7 @@ def _format_definition(table: CampaignTable) -> str:
 
 def _format_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     def line(cells: Sequence[str], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+        return f"<tr>{''.join(f'<{tag}>{as_html(cell)}</{tag}>' for cell in cells)}</tr>"
 
     lines = [line(head, "th")] if head else []
     return "\n".join(["<div><table>", *lines, *(line(row, "td") for row in rows), "</table></div>"])

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynamics.doors import checked
-from sato.atomic import replace_atomically
+from sato.atomic import remove_leftovers, replace_atomically
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.schema import check_pages, check_schema
 from sato.campaigns.trial import Outcome, Trial, as_cell, own_version
+from sato.files import check_no_link
 from sato.run_data import json_default
 from sato.scenario.errors import InputError, closest_name, join_names
 
@@ -62,11 +63,11 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
 
     def __init__(self, folder: Path, is_writer: bool = False) -> None:
         self.folder, self.path = folder, folder / TABLE_FILE
+        remove_leftovers(folder)
         if not self.path.is_file():
             raise InputError("", f"{folder}: holds no campaign; `sato campaign run` makes one")
         for end in ("", "-wal", "-shm", "-journal"):  # which SQLite would read, or make
-            if (path := Path(f"{self.path}{end}")).is_symlink():
-                raise InputError("", f"{path}: is a link, and none is followed in a campaign")
+            check_no_link(Path(f"{self.path}{end}"), "a campaign")
         mode = "rw" if is_writer else "ro"
         journal = Path(f"{self.path}-wal")
         has_journal = journal.exists() and journal.stat().st_size > 0
@@ -79,7 +80,7 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
                 connection = opened.enter_context(closing(sqlite3.connect(address, **options)))
                 connection.text_factory = lambda text: text.decode("utf-8", "replace")
                 connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
-                check_schema(self.path, connection)
+                check_schema(self.path, connection, _COLUMNS)
                 if not is_writer:
                     check_pages(self.path, connection)
                 row = connection.execute("SELECT * FROM campaign").fetchone()
@@ -163,6 +164,11 @@ class CampaignTable(AbstractContextManager["CampaignTable"]):
         """Count the rows by exit."""
         found = dict(self.query("SELECT exit, count(*) FROM runs GROUP BY exit").fetchall())
         return Counter({name: found[name] for name in EXITS if name in found})
+
+    def has_further_columns(self) -> bool:
+        """Return False where the function of further columns failed in every row."""
+        query = "SELECT count(*) FROM runs WHERE columns_error IS NULL"
+        return "columns_error" not in self.columns or bool(self.query(query).fetchone()[0])
 
     def attempts(self) -> dict[int, int]:
         """Return the attempts of rows that are flown again, by row."""

@@ -211,4 +211,6 @@ def _as_columns(result: Any) -> dict[str, Any]:
         raise InputError("", f"must be a dict of numbers, text and lists: {error}") from error
     if len(cells) > MOST_CELLS or not all(name and name.isprintable() for name in cells):
         raise InputError("", f"must be at most {MOST_CELLS} columns with printable names")
+    if len(set(map(str.lower, cells))) < len(cells):  # SQLite would keep the last of them
+        raise InputError("", "must not have names of columns that differ by their case alone")
     return cells

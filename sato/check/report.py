@@ -15,6 +15,7 @@ from sato.summary import format_value
 
 Times = Float[Array, " times"] | None  # of instants [s]; may go on after the values
 Verdict = Literal["kept", "not reached", "broken", "unchecked"]
+JUDGED = ("broken", "verdict", "success")  # entries of a summary that say how a run was judged
 LISTED = 3  # promises that are named in a line beside the first
 
 
@@ -91,10 +92,10 @@ def expect_apart(
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept = bool(distance - error >= allowed)
-    known = f" (known to {error:.1g})" * (error > 1e-12 * distance)  # else by rounding
+    wrong = f", up to {error:.2g} {unit} wrong," * (error > 1e-12 * distance)  # else by rounding
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
-    message = f"{format_value(distance, allowed)}{known} {unit} {sign} {limit}{text}"
+    message = f"{format_value(distance, allowed)} {unit}{wrong} {sign} {limit}{text}"
     promise = Promise(name, is_kept, distance, allowed, message, kind="safety")
     return promise._replace(agents=agents, time=time) if isfinite(distance) else promise
 

@@ -17,7 +17,7 @@ from problems.conic import SolverResult, Verified, verify
 from problems.families import Family, Instance
 from problems.solvers.adapter import SolverAdapter
 from sato.compare.plan import ComparisonPlan, format_tolerance, refusal
-from sato.workers import describe_exit, make_context
+from sato.workers import describe_exit, make_context, place_sockets
 
 NAN = float("nan")
 SEVERITY = ("skipped", "solved", "infeasible", "unproven", "failed", "wrong claim", "crashed")
@@ -76,6 +76,7 @@ def measure_solvers(
     counts as crashed. The order of the solvers is drawn anew for each repeat. Progress is called
     after each family and tolerance, with the number of these that are done, and of all.
     """
+    place_sockets()
     workers = [SolverProcess(solver, plan.patience) for solver in plan.solvers]
     measurements: list[Measurement] = []
     rounds = [(family, tolerance) for family in plan.families for tolerance in plan.tolerances]

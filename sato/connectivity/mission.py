@@ -21,6 +21,7 @@ from sato.connectivity.stick import RecordedStick, WaypointStick
 from sato.network.link import Link
 from sato.obstacles import Box, Sphere
 from sato.scenario.definition import (
+    HALF_TURN,
     LATER,
     TURNS,
     Convert,
@@ -70,7 +71,7 @@ class Connectivity(Mission):
         LATER
     )
     yaw_error: Annotated[
-        Annotated[float, NotNegative] | Matrix,
+        Annotated[float, NotNegative, HALF_TURN] | Matrix,
         In("swarm"),
         Unit("rad"),
         TURNS,

@@ -14,8 +14,10 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-u
 from numpy import ndarray as Array
 
 from sato.figures.style import GRAY
+from sato.terminal import as_line
 
 PADDING = 0.04  # around what is shown, in the size of it
+LONGEST_LABEL = 100  # that is not cut
 KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometers [m]
 
 
@@ -151,9 +153,11 @@ def add_titles(axes: Iterable[Any], titles: Sequence[str], **options: Any) -> No
         ax.set_title(f"({letter}) {title}", **options)
 
 
-def escape_formulas(text: str) -> str:
-    """Escape the dollar signs of a text, which matplotlib would take for those of a formula."""
-    return text.replace("$", r"\$")
+def as_label(text: str) -> str:
+    """Return text as one line of a figure, cut short; no part of it is a formula."""
+    line = as_line(text)
+    short = line if len(line) <= LONGEST_LABEL else f"{line[:LONGEST_LABEL]}…"
+    return short.replace("$", r"\$")
 
 
 def add_legend(figure: Figure, *handles: Any, title: str | None = None) -> None:

@@ -81,7 +81,7 @@ def check_messages(mission: "Formation") -> None:
     whole = max(1, round(steps))
     if abs(steps - whole) > 1e-6 * whole:
         text = f"{rate:g} messages a second do not fall on control steps of {step:g} s"
-        raise InputError("radio.rate_hz", f"{text}; {1 / (whole * step):.6g} would do")
+        raise InputError("radio.rate_hz", f"{text}; {1 / (whole * step):.9g} would do")
     if mission.assignment.method == "vsdaa" and mission.timed_link.loses_messages:
         loss, share = mission.timed_link.loss_probability, link.outage_share
         lost = 1 - (1 - loss) * (1 - share)

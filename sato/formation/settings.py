@@ -14,6 +14,7 @@ from dynamics.doors import checked
 from dynamics.labels import to_plain
 from dynamics.units import Acceleration, Angle, Length, Speed, Time, Unit
 from sato.scenario.definition import (
+    HALF_TURN,
     TURNS,
     Convert,
     Coordinates,
@@ -46,7 +47,11 @@ class CollisionAvoidance(NamedTuple):
     braking: Annotated[Acceleration, Key("brake"), Positive, "assumed deceleration"] = 0.25
     horizon: Annotated[Time, Key("ahead"), Positive, "time for which others are to be passed"] = 2.0
     right_turn_bias: Annotated[
-        Angle, Key("aside"), NotNegative, TURNS, "turn to the right of a command that has to change"
+        Angle,
+        Key("aside"),
+        NotNegative,
+        HALF_TURN,
+        "turn to the right of a command that has to change",
     ] = 0.2
     blocked_time: Annotated[Time, Positive, "time for which a vehicle lets others stop it"] = 3.0
     wander_time: Annotated[

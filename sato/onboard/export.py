@@ -99,7 +99,7 @@ def generate_solver(problem: FixedSizeAvoidanceProblem, folder: Path) -> list[st
     """
     from cvxpygen import cpg
 
-    with TemporaryDirectory() as whole:
+    with TemporaryDirectory(dir=folder.parent) as whole:
         with warnings.catch_warnings(), redirect_stdout(StringIO()):
             warnings.simplefilter("ignore")  # they concern its own dependencies
             cpg.generate_code(problem.to_cvxpy(), code_dir=whole, solver="QOCO", wrapper=False)

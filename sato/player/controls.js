@@ -4,7 +4,7 @@ const NAMESPACE = "http://www.w3.org/2000/svg";
 const EVENT_COLORS = { loss: "#d55e00", reset: "#d55e00", join: "#009e73", arrival: "#009e73" };
 const BROKEN_COLOR = "#e6007e", BROKEN_SHARE = 0.02; // of the flight, about a broken promise
 const isBroken = (kind) => kind.startsWith("broken: ");
-const colorOf = (kind) => (isBroken(kind) ? BROKEN_COLOR : EVENT_COLORS[kind]);
+const colorOf = (kind) => (isBroken(kind) ? BROKEN_COLOR : Object.hasOwn(EVENT_COLORS, kind) && EVENT_COLORS[kind]);
 
 function element(name, attributes = {}, text = "") {
   const isDrawing = ["svg", "path", "rect", "line", "text", "g"].includes(name);

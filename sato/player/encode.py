@@ -15,6 +15,7 @@ from jaxtyping import Shaped
 from numpy import ndarray as Array
 
 from sato.scene import Links, SwarmScene, pad_to_space
+from sato.terminal import as_line
 
 MISSING = 65535
 LARGEST = 65534  # of the integers that stand for numbers
@@ -82,7 +83,7 @@ def encode_scene(scene: SwarmScene, about: dict[str, Any]) -> bytes:
             one._asdict() | {"values": writer.add(one.values[k])} for one in scene.colorings
         ],
         "series": [one._asdict() | {"values": writer.add(one.values[k])} for one in scene.series],
-        "stages": [(_round(start), name) for start, name in scene.stages],
+        "stages": [(_round(start), as_line(name)) for start, name in scene.stages],
         "events": _gather_events(scene),
         "obstacles": [
             {
@@ -112,7 +113,7 @@ def _gather_events(scene: SwarmScene) -> list[dict[str, Any]]:
     gathered: dict[tuple[str, float], list[int]] = {}
     broken = [{**each._asdict(), "kind": f"broken: {each.name}"} for each in scene.broken]
     for event in (*scene.events, *broken):
-        key = (str(event["kind"]), _round(event["time"]))
+        key = (as_line(str(event["kind"])), _round(event["time"]))
         gathered.setdefault(key, []).extend(map(int, event["agents"]))
     return [
         {"kind": kind, "time": time, "agents": agents[:LISTED_AGENTS], "count": len(agents)}

@@ -3,7 +3,6 @@
 import re
 from base64 import b64encode
 from collections.abc import Mapping
-from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from sato.player.encode import encode_scene
 from sato.record import drawn_mark
 from sato.scenario.errors import InputError
 from sato.scene import SwarmScene
+from sato.terminal import as_html, as_line
 
 SCRIPTS = ("data.js", "scene.js", "controls.js", "player.js")
 DEFAULT_NAME = "player.html"  # in the folder of a run
@@ -37,18 +37,18 @@ def write_player(scene: SwarmScene, attributes: Mapping[str, Any], path: Path) -
     """
     if path.is_dir():
         raise InputError("", f"{path}: is a folder, and the player is one file")
-    title = f"{attributes['name']}, seed {attributes['seed']}"
-    about = {"title": title} | {name: str(attributes[name]) for name in ("system", "version")}
+    title = as_line(f"{attributes['name']}, seed {attributes['seed']}")
+    about = {name: as_line(str(attributes[name])) for name in ("system", "version")}
     parts = {
-        "TITLE": escape(title),
-        "VERDICT": escape(scene.verdict),
+        "TITLE": as_html(title),
+        "VERDICT": as_html(scene.verdict),
         "STYLE": _read("player.css"),
         "THREE": _read("three.min.js"),
-        "DATA": b64encode(encode_scene(scene, about)).decode(),
+        "DATA": b64encode(encode_scene(scene, about | {"title": title})).decode(),
         "PLAYER": "\n".join(map(_read, SCRIPTS)),
     }
     page = re.sub("@([A-Z]+)@", lambda mark: parts[mark[1]], _read("player.html"))
-    page += f"<!-- {drawn_mark(attributes.get('digest', ''))} -->\n"
+    page += f"<!-- {as_html(drawn_mark(attributes.get('digest', '')))} -->\n"
     with replace_atomically(path) as new:
         new.write_text(page, encoding="utf-8")
     return path

@@ -2,9 +2,10 @@
 
 A value is a byte that tells its type, and its content; lengths and numbers are little-endian. An
 array is its type, its shape and its numbers as they are in memory. A named tuple or dataclass is
-its place in the list of types, and its fields in order. Members of a set, reports that are passed
+its place in the list of types, and its fields in order, which are checked as its annotations say:
+types, shapes, and that numbers are finite. Members of a set, reports that are passed
 on from round to round, have their lengths before them, and are encoded and decoded once. Nothing is
-called by name, as a pickle can ask for. Tags are checked; fields, senders and sense are not.
+called by name, as a pickle can ask for. Sense is not checked.
 """
 
 import struct
@@ -12,12 +13,16 @@ from collections.abc import Callable, Hashable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import cache, lru_cache
 from itertools import chain
-from math import prod
+from math import inf, prod
 from pkgutil import resolve_name
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
+from annotated_types import Ge, Le
 from numpy import ndarray as Array
+
+from dynamics.door_checks import Check, NumberRule, Sizes, Wrong, describe, make_check
+from dynamics.inputs import InputError
 
 # Types that vehicles and the world send each other. Both ends have the same version.
 TYPES = """
@@ -60,6 +65,7 @@ TYPES = """
     sato.scp.planner:TrajectoryMessage
 """.split()
 
+IN_RANGE = NumberRule(limits=(Ge(-inf), Le(inf)))  # as small or large as they like, but finite
 MAX_DEPTH = 32  # of values within values
 MAX_KEPT = 4096  # members of sets, encoded or decoded
 _TAGS: dict[type, bytes] = {tuple: b"t", list: b"l", dict: b"d"}
@@ -100,6 +106,12 @@ def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(getattr(kind, "_fields"))  # noqa: B009
 
 
+@cache
+def _field_checks(kind: Any) -> dict[str, Check]:
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: make_check(hints[name], IN_RANGE) for name in _field_names(kind)}
+
+
 def _write(out: bytearray, value: Any) -> None:
     place = _registry()[0].get(type(value))
     if place is not None:
@@ -109,7 +121,9 @@ def _write(out: bytearray, value: Any) -> None:
     elif value is None or isinstance(value, bool | np.bool_):
         out += b"n" if value is None else b"T" if value else b"F"
     elif isinstance(value, int | np.integer):
-        out += struct.pack("<cq", b"i", value)
+        is_short, size = -(2**63) <= value < 2**63, int(value).bit_length() // 8 + 1
+        out += struct.pack("<cq", b"i", value) if is_short else struct.pack("<cI", b"j", size)
+        out += b"" if is_short else int(value).to_bytes(size, "little", signed=True)
     elif isinstance(value, float):
         out += struct.pack("<cd", b"f", value)
     elif isinstance(value, str | bytes):
@@ -175,6 +189,8 @@ class _Reader:
             return _SIMPLE[tag]
         if tag in b"if":
             return self._unpack("<q" if tag == b"i" else "<d")[0]
+        if tag == b"j":
+            return int.from_bytes(self._take(*self._unpack("<I")), "little", signed=True)
         if tag == b"a":
             return self._read_array()
         if tag == b"r":
@@ -195,8 +211,15 @@ class _Reader:
         kinds = _registry()[1]
         if place >= len(kinds):
             raise CodecError(f"is no message: no type has the number {place}")
-        names = _field_names(kinds[place])
-        return kinds[place](**{name: self.read_value(depth + 1) for name in names})
+        kind, sizes = kinds[place], Sizes({})
+        given = {name: self.read_value(depth + 1) for name in _field_names(kind)}
+        for name, check in _field_checks(kind).items():
+            try:
+                given[name] = check(given[name], sizes)
+            except (Wrong, InputError) as error:
+                what = f"{kind.__name__}.{name} is {describe(given[name])}"
+                raise CodecError(f"is no message: {what}") from error
+        return kind(**given)
 
     def _read_array(self) -> Array:
         kind, axes = self._unpack("<BB")

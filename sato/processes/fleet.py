@@ -3,27 +3,29 @@
 import signal
 from collections import deque
 from collections.abc import Iterable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import gettempdir
 from time import monotonic
 from typing import Any
 
+from sato.atomic import is_held, open_scratch
+from sato.processes.codec import CodecError
 from sato.processes.envelope import WORLD
-from sato.processes.membership import KEY_FILE, create_key, is_running, write_private
+from sato.processes.membership import KEY_FILE, create_key, write_private
 from sato.processes.messages import Fault, Hearing
-from sato.processes.network import USER, Connection, find_port, load_zenoh
-from sato.processes.vehicle_process import run_vehicle
+from sato.processes.network import START_TIME, USER, Connection, check_port, load_zenoh
+from sato.processes.vehicle_process import run_child
 from sato.scenario.errors import InputError
 from sato.scenario.ranges import machine_memory
-from sato.workers import check_guard, make_context
+from sato.workers import check_guard, make_context, place_sockets
 
 MAX_VEHICLES = 16
 PROCESS_MEMORY = 250e6  # of one vehicle, with the libraries that it has imported [byte]
-START_TIME = 60.0  # within which all processes are there [s]
 LOOK_INTERVAL = 0.1  # at which the world looks whether processes are there [s]
 PRELOADED = ["sato.processes.vehicle_process"]  # by the process from which the others are forked
+PREFIX = "sato-fleet-"  # of the folders of flights, which the next one removes if one is killed
 MEMINFO = Path("/proc/meminfo")
 
 
@@ -38,21 +40,24 @@ class Fleet(AbstractContextManager["Fleet"]):
     """
 
     def __init__(self, mission: str, vehicles: int, port: int | None = None) -> None:
-        """Listen for the vehicles of a mission at a port, or any; refuse one that is in use."""
+        """Listen for the vehicles of a mission, at a port if asked to; refuse one in use."""
         load_zenoh()
-        self.port = find_port(port)
-        self._folder = TemporaryDirectory(prefix="sato-flight-")
-        member = create_key(Path(self._folder.name), mission, self.port, vehicles)
-        self.key_file = Path(self._folder.name, KEY_FILE)
+        if port is not None:
+            check_port(port)
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(open_scratch(Path(gettempdir()), PREFIX))
+            member = create_key(self._folder, mission, port, vehicles)
+            users = self._folder / "users"
+            write_private(users, f"{USER}:{member.key.hex()}\n")
+            self._connection = Connection(member, WORLD, 1, users)
+            self._closing = stack.pop_all()
+        self.key_file = self._folder / KEY_FILE
         self.processes: dict[int, Any] = {}  # those that were started here
         self.ids: dict[int, int] = {}  # of all that were heard, to the operating system
         self.new: list[int] = []  # that ask for a mission
         self._replaced: set[int] = set()  # whose processes were started again
         self._looks_at = 0.0  # time at which it looks again whether processes have ended [s]
         self._received: deque[tuple[int, Any]] = deque()  # while others were started
-        users = Path(self._folder.name, "users")
-        write_private(users, f"{USER}:{member.key.hex()}\n")
-        self._connection = Connection(member, WORLD, 1, users)
 
     def __exit__(self, *error: object) -> None:
         """End all processes, also those that are paused."""
@@ -61,7 +66,7 @@ class Fleet(AbstractContextManager["Fleet"]):
         for process in self.processes.values():
             process.join()
         self._connection.close()
-        self._folder.cleanup()
+        self._closing.close()
 
     def start(self, numbers: Iterable[int]) -> None:
         """Start the processes of some vehicles, and wait until all are there.
@@ -70,12 +75,11 @@ class Fleet(AbstractContextManager["Fleet"]):
         """
         each = list(numbers)
         check_guard()
+        place_sockets()
         check_memory(len(each))
         context = _context()
         for i in each:
-            process = context.Process(
-                target=run_vehicle, args=(self.key_file, i, True), daemon=True
-            )
+            process = context.Process(target=run_child, args=(self.key_file, i), daemon=True)
             process.start()
             self.processes[i] = process
         until = monotonic() + START_TIME
@@ -105,7 +109,7 @@ class Fleet(AbstractContextManager["Fleet"]):
         if monotonic() < self._looks_at:
             return []
         self._looks_at = monotonic() + LOOK_INTERVAL
-        ended = {i for i, process in self.ids.items() if not is_running(process)}
+        ended = {i for i in self.ids if not is_held(self._folder / str(i))}
         self.ids = {i: process for i, process in self.ids.items() if i not in ended}
         found, self._replaced = sorted(ended | self._replaced), set()
         return found
@@ -126,7 +130,10 @@ class Fleet(AbstractContextManager["Fleet"]):
         return self._received.popleft() if self._received else self._receive(timeout)
 
     def _receive(self, timeout: float) -> tuple[int, Any] | None:
-        received = self._connection.receive(timeout)
+        try:
+            received = self._connection.receive(timeout)
+        except CodecError as error:
+            raise VehicleError(str(error)) from error
         if received is None:
             return None
         number, value = received

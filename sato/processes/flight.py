@@ -40,7 +40,7 @@ def as_processes(
         mission: Mission, not drawn.
         seed: Seed with which it is drawn.
         mode: In lock step, or free running.
-        port: At which the world listens; any that is free by default.
+        port: At which the world listens; by default a socket that no other user can open.
         speed: Times as fast as by the clock, free running.
         announce: Called with the processes, once all are there.
 

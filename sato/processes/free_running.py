@@ -14,6 +14,7 @@ from sato.processes.fleet import Fleet
 from sato.processes.free_vehicle import HEARTBEAT
 from sato.processes.messages import Consent, FreePacket, Held, Intention, Measured, Status
 from sato.processes.presence import Presence
+from sato.processes.reports import check_commitment, check_status
 from sato.processes.world import World
 from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.network_decision import stop_at_once
@@ -120,11 +121,14 @@ class FreeRunning:
                 return
             self._packets.send(number, value)
         elif isinstance(value, Held):
+            check_status(world.mission, number, value.status, world.step_index)
             if value.instant == world.step_index:
                 self._on_time.add(number)
             before = self._reports.get(number)
             self._reports[number] = value.status if before is None else before.then(value.status)
         elif isinstance(value, Intention) and value.commitment.first_step > world.step_index:
+            latest = world.step_index + world.mission.lag_steps
+            check_commitment(world.mission, number, value.commitment, latest)
             missed = self._beside.get(number, set()).difference(value.neighbors)
             if not missed.intersection(world.live):
                 world.intended[number] = value.commitment

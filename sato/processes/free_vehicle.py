@@ -12,13 +12,13 @@ from time import monotonic
 from typing import Any
 
 from sato.network.channel import NEVER
-from sato.processes.codec import decode, encode
+from sato.processes.codec import encode
 from sato.processes.messages import Alive, Consent, FreePacket, Held, Intention, Measured
-from sato.processes.vehicle import Vehicle, begun_at
+from sato.processes.vehicle import Vehicle, begun_at, open_packet
 
 HEARTBEAT = 0.1  # longest time between two signs of life [s]
 LATE_START = 0.1  # time by which processes may begin a decision one after another [s]
-_decode_once = lru_cache(64)(decode)
+_open_once = lru_cache(64)(open_packet)
 
 
 class FreeVehicle:
@@ -71,7 +71,7 @@ class FreeVehicle:
         if is_unheard or (own is not None and packet.sender not in own):
             self._give_up()
             return
-        self._inbox.append(_decode_once(packet.content))
+        self._inbox.append(_open_once(packet.sender, packet.content))
         heard = self._rounds.get(packet.sender, -1)
         self._rounds[packet.sender] = max(heard, packet.round)
         under_way = self.vehicle.agent.memory.under_way

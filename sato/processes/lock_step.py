@@ -6,13 +6,15 @@ from collections.abc import Iterator, Mapping
 from numpy import ndarray as Array
 
 from sato.network.channel import NEVER, Channel
-from sato.processes.fleet import Fleet
-from sato.processes.messages import Call, Measured, Reply, Status
+from sato.processes.fleet import Fleet, VehicleError
+from sato.processes.messages import Call, Measured, Reply, SentPacket, Status
 from sato.processes.presence import Presence
+from sato.processes.reports import check_status
 from sato.processes.world import World
 from sato.reconfiguration.disturbances import disturb_control, measure
 from sato.reconfiguration.state import ReconfigurationFrame
 
+MAX_ROUNDS = 10_000  # of a decision that takes no time, before a vehicle is taken not to end it
 ROUNDING = 1e-6  # of a control step, by which a round may come too soon
 
 
@@ -69,6 +71,10 @@ class LockStep:
         self._relay, live = self._begin_relay(), self.world.live
         reports: dict[int, Status] = {}
         while reports.keys() != set(live):
+            if self._relay.round == MAX_ROUNDS:
+                late = sorted(set(live) - reports.keys())
+                reason = f"have not decided after {MAX_ROUNDS:,} rounds of instant"
+                raise VehicleError(f"vehicles {late} {reason} {self.world.step_index}")
             reports = self._call(told, self._relay.round == 0)
             if self.world.live != live:
                 return None
@@ -111,7 +117,10 @@ class LockStep:
             self.world.lose(gone)
             replies = {i: reply for i, reply in replies.items() if i not in gone}
         self._relay.send({i: reply.packet for i, reply in replies.items()})
-        return {i: reply.status for i, reply in replies.items() if reply.status is not None}
+        reports = {i: reply.status for i, reply in replies.items() if reply.status is not None}
+        for i, status in reports.items():
+            check_status(self.world.mission, i, status, self.world.step_index)
+        return reports
 
 
 class _Relay:
@@ -119,9 +128,9 @@ class _Relay:
 
     def __init__(self, channel: Channel, instant: int) -> None:
         self.instant, self.round, self._channel = instant, 0, channel
-        self._arriving: defaultdict[tuple[int, int], list[bytes]] = defaultdict(list)
+        self._arriving: defaultdict[tuple[int, int], list[SentPacket]] = defaultdict(list)
 
-    def take(self, receiver: int) -> list[bytes]:
+    def take(self, receiver: int) -> list[SentPacket]:
         """Take the packets that arrive at a vehicle in this round."""
         return self._arriving.pop((self.round, receiver), [])
 
@@ -133,5 +142,5 @@ class _Relay:
         for sender, receiver, at in zip(channel.sender, channel.receiver, arrival, strict=True):
             packet = packets.get(int(sender))
             if packet is not None and at != NEVER:
-                self._arriving[int(at), int(receiver)].append(packet)
+                self._arriving[int(at), int(receiver)].append((int(sender), packet))
         self.round += 1

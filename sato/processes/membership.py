@@ -1,7 +1,8 @@
 """Membership of a flight over processes: who has its key may speak.
 
-The key is in a file that its owner alone can read, in a new folder for each flight. Beside it is a
-file for each vehicle, with the number of times that its process has been started.
+The key is in a file that its owner alone can read, in a new folder for each flight, which the world
+has locked. Beside it is a file for each vehicle, with the number of times that its process has been
+started, which that has locked. So it is seen who is there: a lock ends with its process.
 """
 
 import fcntl
@@ -10,26 +11,33 @@ import os
 import secrets
 from hashlib import blake2b
 from pathlib import Path
+from time import sleep
 from typing import NamedTuple
 
 from sato.scenario.errors import InputError
 
+HOST = "127.0.0.1"
 KEY_FILE = "key"
+TRIES = 3  # to lock a file, at which the world may look
+LOOK_TIME = 0.01  # which that takes at most [s]
 
 
 class Membership(NamedTuple):
     """Key of a flight, and the place of its world, as a process is told."""
 
     key: bytes
-    port: int
+    endpoint: str  # at which the world listens, as Zenoh writes it
     vehicles: int
-    world: int  # its number to the operating system
 
 
-def create_key(folder: Path, mission: str, port: int, vehicles: int) -> Membership:
-    """Write the key file of a new flight of a mission into a folder; the world calls this."""
+def create_key(folder: Path, mission: str, port: int | None, vehicles: int) -> Membership:
+    """Write the key file of a new flight of a mission into a folder; the world calls this.
+
+    Without a port, the world listens at a socket in the folder, which other users cannot open.
+    """
     key = blake2b(mission.encode(), key=secrets.token_bytes(32), digest_size=32).digest()
-    member = Membership(key, port, vehicles, os.getpid())
+    endpoint = f"tcp/{HOST}:{port}" if port else f"unixsock-stream/{folder / 'world'}"
+    member = Membership(key, endpoint, vehicles)
     text = json.dumps(member._replace(key=key.hex())._asdict())  # type: ignore[arg-type]
     write_private(folder / KEY_FILE, text)
     return member
@@ -43,7 +51,8 @@ def read_key(file: Path, number: int) -> Membership:
             if status.st_mode & 0o077 or status.st_uid != os.getuid():
                 raise InputError("--key-file", f"{file} can be read by others; mode 600 would do")
             known = json.load(opened)
-        member = Membership(bytes.fromhex(known["key"]), *map(int, [*known.values()][1:]))
+        key, vehicles = bytes.fromhex(known["key"]), int(known["vehicles"])
+        member = Membership(key, str(known["endpoint"]), vehicles)
     except (OSError, ValueError, TypeError, KeyError) as error:
         if isinstance(error, InputError):
             raise
@@ -63,30 +72,20 @@ class Incarnation:
 
     def __init__(self, key_file: Path, number: int) -> None:
         self._file = os.open(key_file.parent / str(number), os.O_RDWR | os.O_CREAT, 0o600)
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            reason = f"the process of vehicle {number} is there already"
-            raise InputError("", reason) from error
+        for tries in range(TRIES, 0, -1):
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError as error:
+                if tries == 1:
+                    reason = f"the process of vehicle {number} is there already"
+                    raise InputError("", reason) from error
+                sleep(LOOK_TIME)
         before = os.read(self._file, 20)
         self.number = int(before or b"0") + 1
         os.lseek(self._file, 0, os.SEEK_SET)
         os.write(self._file, str(self.number).encode())
         os.fsync(self._file)
-
-
-def is_running(process: int) -> bool:
-    """Tell whether there is a process of a number, which has not ended."""
-    try:
-        os.kill(process, 0)
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except PermissionError:
-        return True
-    except (ProcessLookupError, OverflowError):
-        return False
-    except (OSError, IndexError):  # of a system without this file
-        return True
-    return state not in "ZX"
 
 
 def write_private(path: Path, text: str) -> None:

@@ -11,12 +11,12 @@ from numpy import ndarray as Array
 
 from sato.reconfiguration.stopping import Commitment
 from sato.reconfiguration.surroundings import Sensed
+from sato.scenario.definition import Count
 
 
 class Hearing(NamedTuple):
     """Sign of life of a vehicle that has no mission yet."""
 
-    number: int
     process: int  # its number to the operating system
 
 
@@ -25,7 +25,7 @@ class Briefing(NamedTuple):
 
     scenario: str  # TOML
     seed: int
-    leg: int  # under way
+    leg: Count  # under way
     leg_start: float | None  # time at which it began, for a vehicle that joins [s]
     tick: float  # time between two packets of a vehicle that runs freely [s]; 0 in lock step
 
@@ -33,9 +33,12 @@ class Briefing(NamedTuple):
 class Measured(NamedTuple):
     """State and surroundings that a vehicle measures at a control instant."""
 
-    instant: int  # steps since the start of the mission
+    instant: Count  # steps since the start of the mission
     state: Float[Array, " n"]
     seen: tuple[Sensed, ...]
+
+
+SentPacket = tuple[int, bytes]  # sender, as the world knows it, and its packet
 
 
 class Call(NamedTuple):
@@ -44,25 +47,25 @@ class Call(NamedTuple):
     serial: int
     leg: int  # under way
     measured: Measured
-    inbox: tuple[bytes, ...]  # packets of neighbors that arrive
+    inbox: tuple[SentPacket, ...]  # of neighbors, that arrive
     begins: bool  # the instant, once more where others have fallen silent in the middle of it
 
 
 class Status(NamedTuple):
     """Report for the record; no vehicle hears it."""
 
-    leg: int  # under way
+    leg: Count  # under way
     is_leg_over: bool  # as the vehicle knows
     control: Float[Array, " d"]  # held [m/s²]
     commitment: Commitment | None
     intended: Commitment | None  # what is flown from the next decision on, where that takes time
     target_index: int
     target_count: int
-    clock: int
+    clock: Count
     has_plan: bool  # that leads to its target
     decides: bool  # True where it has planned
     calls: bool  # True where it has called for an auction at once
-    solves: int  # programs solved to plan among others
+    solves: Count  # programs solved to plan among others
     blocked: tuple[int, ...]  # targets that are left out
     events: tuple[dict[str, Any], ...]
 
@@ -86,7 +89,7 @@ class FreePacket(NamedTuple):
     sender: int
     until: int  # instant from which on it is void
     neighbors: tuple[int, ...] | None  # with which the sender decides; None while it listens
-    round: int  # in which the sender has acted
+    round: Count  # in which the sender has acted
     content: bytes
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from sato.network.flooding import Census
+from sato.processes.codec import decode
 from sato.processes.messages import Briefing, Measured, Status
 from sato.reconfiguration.agent import Agent
 from sato.reconfiguration.agent_network import NetworkDecision
@@ -105,6 +106,15 @@ class Vehicle:
             blocked=() if decision is None else decision.blocked,
             events=flown.events if has_ended else (),
         )
+
+
+def open_packet(sender: int, data: bytes) -> Any:
+    """Decode the packet of a vehicle; a `ValueError` refuses one in the name of another."""
+    packet = decode(data)
+    if getattr(packet, "sender", None) != sender:
+        name = getattr(packet, "sender", type(packet).__name__)
+        raise ValueError(f"vehicle {sender} sends a packet in the name of {name}")
+    return packet
 
 
 def begun_at(agent: Agent) -> int | None:

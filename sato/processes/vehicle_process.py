@@ -2,53 +2,66 @@
 
 import os
 import signal
+import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from sato.processes.codec import decode, encode
+from sato.atomic import is_held
+from sato.processes.codec import CodecError, encode
 from sato.processes.envelope import WORLD
 from sato.processes.free_vehicle import FreeVehicle
-from sato.processes.membership import Incarnation, Membership, is_running, read_key
+from sato.processes.membership import Incarnation, Membership, read_key
 from sato.processes.messages import Briefing, Call, Fault, Hearing, Reply
 from sato.processes.network import Connection
-from sato.processes.vehicle import Vehicle
+from sato.processes.vehicle import Vehicle, open_packet
+from sato.scenario.errors import InputError
 
+MAX_REASON = 500  # characters of what has ended a vehicle
 PATIENCE = 0.2  # time after which a vehicle says again that it is there [s]
 
 
-def run_vehicle(key_file: Path, number: int, is_child: bool = False) -> None:
+def run_child(key_file: Path, number: int) -> None:
+    """Run the process of one vehicle for the world, which ends it; Ctrl-C is for the world."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        run_vehicle(key_file, number)
+    except InputError as error:
+        sys.exit(f"sato: vehicle {number}: {error}")
+
+
+def run_vehicle(key_file: Path, number: int) -> None:
     """Run the process of one vehicle, until the flight is over.
 
     Args:
         key_file: File of the key of the flight.
         number: Number of the vehicle.
-        is_child: Ignore Ctrl-C, which is for the world that has started it, and ends it.
 
     Raises:
         InputError: There is no such flight or vehicle, or the vehicle is there already.
     """
-    if is_child:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
     member = read_key(key_file, number)
     incarnation = Incarnation(key_file, number)
     connection = VehicleConnection(member, number, incarnation.number, key_file)
     with threadpool_limits(1, user_api="blas"), closing(connection):
         try:
-            briefing = _hear_mission(connection, number)
+            briefing = _hear_mission(connection)
             vehicle = Vehicle(number, briefing)
             if briefing.tick:
                 send = partial(connection.send, WORLD)
                 FreeVehicle(vehicle, send, briefing.tick).run(connection.receive)
             LockStepVehicle(vehicle, connection).run()
         except Exception as error:  # the world ends the flight, and tells the reason
-            connection.send(WORLD, Fault(type(error).__name__, str(error)))
+            kind, is_told = type(error).__name__, isinstance(error, ValueError | RuntimeError)
+            text = str(error) if is_told else f"cannot go on, a {kind}: {error}"
+            connection.send(WORLD, Fault(kind, text[:MAX_REASON]))
             while True:
-                connection.receive(timeout=PATIENCE)
+                with suppress(CodecError):
+                    connection.receive(timeout=PATIENCE)
 
 
 class VehicleConnection(Connection):
@@ -56,21 +69,21 @@ class VehicleConnection(Connection):
 
     def __init__(self, member: Membership, number: int, incarnation: int, key_file: Path) -> None:
         super().__init__(member, number, incarnation)
-        self._world, self._key_file, self._looks_at = member.world, key_file, 0.0
+        self._flight, self._looks_at = key_file.parent, 0.0
 
     def receive(self, timeout: float) -> tuple[int, Any] | None:
         """Return the sender and the next value, as `Connection` does."""
         if time.monotonic() > self._looks_at:
             self._looks_at = time.monotonic() + PATIENCE
-            if not (self._key_file.exists() and is_running(self._world)):
+            if not is_held(self._flight):
                 os._exit(0)
         return super().receive(timeout)
 
 
-def _hear_mission(connection: VehicleConnection, number: int) -> Briefing:
+def _hear_mission(connection: VehicleConnection) -> Briefing:
     """Say that the vehicle is there, until the world answers."""
     while True:
-        connection.send(WORLD, Hearing(number, os.getpid()))
+        connection.send(WORLD, Hearing(os.getpid()))
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
             received = connection.receive(timeout=PATIENCE)
@@ -94,7 +107,7 @@ class LockStepVehicle:
 
     def _act(self, call: Call) -> Reply:
         vehicle, agent = self.vehicle, self.vehicle.agent
-        inbox = [decode(packet) for packet in call.inbox]
+        inbox = [open_packet(*sent) for sent in call.inbox]
         if call.begins:
             if agent.memory.instant == call.measured.instant:  # once more
                 agent.memory = self._before

@@ -31,11 +31,14 @@ SHARED += "assignment bidder_ids reset objective cost tie_break".split()
 MAX_NUMBER = 4095  # of an agent: it keeps tables with a row and a column for each number
 
 
+AgentNumber = Annotated[int, Ge(0), Le(MAX_NUMBER)]
+
+
 @checked
 class AgentMessage(NamedTuple):
     """Message of an agent to all neighbors within hearing, a plain value."""
 
-    sender: Annotated[int, Ge(0), Le(MAX_NUMBER)]
+    sender: AgentNumber
     instant: Count
     stage: Count
     content: Any

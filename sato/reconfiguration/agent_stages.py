@@ -14,6 +14,7 @@ from problems.path_separation import are_hulls_separated
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.network.flooding import Flood, Reports
 from sato.reconfiguration import assignment, target_costs
+from sato.reconfiguration.agent_inputs import AgentNumber
 from sato.reconfiguration.commitment import improve, next_choice
 from sato.reconfiguration.evasion import ROUNDING
 from sato.reconfiguration.offers import Offers
@@ -27,7 +28,7 @@ from sato.scp.planner import Planner, Priority, TrajectoryMessage, pair_clearanc
 class AuctionTerms(NamedTuple):
     """Report of an agent before an auction."""
 
-    agent: int
+    agent: AgentNumber
     target_count: int  # m
     cost_range: float  # [m]
     state: tuple[float, ...]  # by which it plans
@@ -39,7 +40,7 @@ class AuctionTerms(NamedTuple):
 class AuctionReport(NamedTuple):
     """Report of an agent that has stopped bidding."""
 
-    agent: int
+    agent: AgentNumber
     round: int  # in which it stopped
     target_index: int
     is_exact: bool  # else the cost of its target is only a lower bound
@@ -100,7 +101,7 @@ class Bidding(NamedTuple):
 class ExchangeReport(NamedTuple):
     """Report of an agent whose trajectory is final."""
 
-    agent: int
+    agent: AgentNumber
     round: int  # in which it became final
 
 
@@ -292,7 +293,7 @@ def stack_others(
 class ChoiceReport(NamedTuple):
     """Report of an agent that has chosen an offer."""
 
-    agent: int
+    agent: AgentNumber
     priority: Priority | None  # None where it commits to its plan
     steps: int  # in which all its offers have come to rest
     is_met: bool  # something comes over what it has chosen
@@ -304,7 +305,7 @@ class Turns(NamedTuple):
 
     context: DecisionContext
     plan: Plan
-    agent: int
+    agent: AgentNumber
     order: tuple[int, ...]  # agents whose turns they are
     horizon: AvoidanceHorizon
     u: Float[Array, "T m"]  # to which it is committed now

@@ -11,13 +11,14 @@ from sato.network import load
 from sato.network.encoding import COMMON_HELLO, HELLO
 from sato.network.flooding import census_rounds
 from sato.network.load import Load, fingerprint
+from sato.reconfiguration.agent_inputs import AgentNumber
 from sato.reconfiguration.state import DecisionContext
 
 
 class Hello(NamedTuple):
     """Report of an agent at the beginning of an instant."""
 
-    agent: int
+    agent: AgentNumber
     leg: tuple[int, int]  # instant at which it began; checksum of targets, steps and mission
     is_due: bool  # it plans again, if this is an instant to plan
     is_auction_due: bool  # it calls for an auction, if this is an instant to plan

@@ -20,6 +20,7 @@ from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, is_path_clear, measure_gaps, violation
 from problems.path_separation import are_paths_separated
 from sato.network.encoding import EVASION_REPORT, INDEX, REAL
+from sato.reconfiguration.agent_inputs import AgentNumber
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.offers import Offers, steps_to_next
 from sato.reconfiguration.state import DecisionContext
@@ -45,7 +46,7 @@ Look = tuple[int, ObstaclePaths | None]  # steps for which to rest at the end, a
 class EvasionReport:
     """Report of an agent, after its turn: what it has committed to, and what it has to avoid."""
 
-    agent: int
+    agent: AgentNumber
     priority: Priority = field(compare=False)
     state: Float[Array, " n"] = field(compare=False)
     u: Float[Array, "T m"] = field(compare=False)

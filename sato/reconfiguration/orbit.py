@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from math import degrees, pi
 from typing import Annotated, Any
 
@@ -12,12 +12,13 @@ import numpy as np
 from annotated_types import Le, Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from dynamics.bodies import EARTH, EARTH_J2, EARTH_MU, NO_BODY, UNKNOWN, Body, find_body, oblateness
 from dynamics.coordinate_frames import to_polar_nodal
 from dynamics.j2 import invariant_velocity
 from dynamics.orbit import Orbit
+from dynamics.quantities import within_turns
 from dynamics.units import Unit
 from sato.scenario.definition import (
     LATER,
@@ -34,6 +35,7 @@ YEARS = 1, 9998  # of an epoch: exports write years of four digits, a flight lat
 MAX_J2 = 0.05  # about where J2 would no longer be a small part of gravity; the Earth's is 0.001
 MIN_COS_LATITUDE = 0.3  # |cos θ| from which on velocities out of the plane are not large
 ANOMALIES = range(-180, 180, 5)  # tried for a better start along the orbit [deg]
+SUM_OF_TURNS = AfterValidator(partial(within_turns, turns=4.0))  # mark of perigee and anomaly
 ELEMENTS = "semi_major_axis", "eccentricity", "inclination", "node", "perigee", "anomaly"
 POLAR_NODAL = "radius", "radial_speed", "angular_momentum", "node", "inclination", "latitude"
 # Ways to give an orbit, by the key that each needs, and the fields of that way alone.
@@ -82,7 +84,7 @@ class Chief(Definition):
     radius: Annotated[float | None, Unit("m"), "distance from the center of the body"] = None
     radial_speed: Annotated[float | None, Unit("m_s"), "radial speed"] = None
     angular_momentum: Annotated[float | None, Unit("m2_s"), "specific angular momentum"] = None
-    latitude: Annotated[float | None, Unit("rad"), "argument of latitude"] = None
+    latitude: Annotated[float | None, Unit("rad"), SUM_OF_TURNS, "argument of latitude"] = None
     mu: Annotated[
         float | None, Unit("m3_s2"), Positive, "gravity of the body; the Earth's if absent"
     ] = None

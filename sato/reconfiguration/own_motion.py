@@ -38,7 +38,7 @@ def is_own_model(model: Any) -> bool:
 def check_axes(model: Any) -> None:
     """Refuse a model that is neither of the plane nor of space."""
     axes = getattr(model, "axes", None)
-    if isinstance(model, Model) and (isinstance(axes, bool) or axes not in (2, 3)):
+    if isinstance(model, Model) and not (isinstance(axes, int | np.integer) and axes in (2, 3)):
         raise InputError("", f"{type(model).__name__}.axes must be 2 or 3, got {axes!r}")
 
 

@@ -26,7 +26,11 @@ WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE | re.ASCII
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
 NAME = re.compile(r"[^\W\d]\w*(\s*[\[(/].*)?")  # one word, perhaps with a unit
 WORDS = re.compile(r"[\s,;|]+")
-OTHER_LENGTH = re.compile(r"\b(k|c|m)m\b|\b(feet|ft)\b")  # than the meter, in a comment
+OTHER_UNIT = re.compile(  # than those of SI, in a comment
+    r"\b([kcdmnµμ]m|(kilo|centi|deci|milli|micro)met(er|re)s?|feet|ft|inch(es)?|yards?|miles?|knots?"
+    r"|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b"
+)
+LABEL = re.compile(r"^(columns?|axes|fields?|header|names?|order|format)\s*[:=]\s*", re.IGNORECASE)
 
 Row = tuple[int, list[str]]  # number of the line, and its cells
 
@@ -66,15 +70,17 @@ def read_columns(path: Path, content: str, units: Units, counts: Collection[int]
 
 def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> None:
     """Refuse rows without a header whose first line, or first column, may be labels."""
-    header, numbered = ",".join(names), list(map(str, range(len(rows))))
+    header, count = ",".join(names), len(rows)
+    numbered = [list(map(str, range(k, count + k))) for k in range(min(count, 2))]
     first, others = rows[0], [cell for cells in rows[1:] for cell in cells]
     if others and first == list(map(str, range(len(first)))) and all("." in c for c in others):
         cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
         raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
     are_distinct = len({tuple(cells[1:]) for cells in rows}) == len(rows)  # as points x,y
-    if header == "x,y,z" and are_distinct and [cells[0] for cells in rows] == numbered:
-        cure = "name the columns, id,x,y or x,y,z"
-        raise ValueError(f"{path}: the first column, 0, 1, …, may number the rows or be x; {cure}")
+    if header == "x,y,z" and are_distinct and (counts := [cells[0] for cells in rows]) in numbered:
+        begin, cure = ", ".join([*counts, "1"][:2]), "name the columns, id,x,y or x,y,z"
+        reason = f"the first column, {begin}, …, may number the rows or be x"
+        raise ValueError(f"{path}: {reason}; {cure}")
 
 
 def _read_numbers(
@@ -113,17 +119,19 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     if not rows:
         raise ValueError(f"{path} lists no {content}")
     width = len(names or rows[0][1])
-    notes = [line.lstrip("# \t") for n, line in lines if n < rows[0][0] and _is_comment(line)]
+    notes = [(n, line.lstrip("# \t")) for n, line in lines if _is_comment(line)]
     try:
-        for note in notes:
-            noted = _find_names(note, between, width, units)
+        for n, note in notes:
+            noted = _find_names(note, between, width, units) if n < rows[0][0] else None
             meanings = [_find_meaning(header, units) for header in (names, noted)]
             if None not in meanings and meanings[0] != meanings[1]:
                 raise InputError("", f'two headers disagree; drop the comment "{note}"')
             names = names or noted
-            unit = OTHER_LENGTH.search(note)
+            unit = OTHER_UNIT.search(note)
             if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
-                cure = f"numbers without a unit are meters; name columns as in x_{unit[0]} or x_m"
+                cure = (
+                    "numbers without one are in SI units; name columns as in x_mm, x_m or vx_km_h"
+                )
                 raise InputError("", f'a comment has the unit "{unit[0]}", and {cure}')
         return names, _with_points(rows)
     except InputError as error:
@@ -132,6 +140,7 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
 
 def _find_names(note: str, between: str, width: int, units: Units) -> list[str] | None:
     """Find the names of columns in a comment; None where it has other words."""
+    note = LABEL.sub("", note)
     for cells, is_list in ((_split(note, between), between != " "), (WORDS.split(note), False)):
         if len(cells) != width or width == 1 or any(map(BEGIN.match, cells)):
             continue

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import (
     Annotated,
     Any,
@@ -53,6 +53,7 @@ from sato.scenario.ranges import check_range
 
 Positive, NotNegative = Gt(0), Ge(0)
 TURNS = AfterValidator(within_turns)  # mark of an angle of at most two turns
+HALF_TURN = AfterValidator(partial(within_turns, turns=0.5))  # the same of a difference
 Seed = Annotated[int, Ge(0), Lt(2**64)]
 Amount = Annotated[int, Positive]
 Count = Annotated[int, NotNegative]

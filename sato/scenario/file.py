@@ -73,6 +73,9 @@ class Mission(Definition):
         return tomli_w.dumps(head | write_table(plain))
 
 
+NO_MISSION = "no mission is given, and sato.load(path) takes it from the file"
+
+
 def describe_own(text: str) -> str:
     """Say which parts of the TOML of a mission are of the user's own; "" if none."""
     from problems.solvers import load_adapters  # slow, and for this alone

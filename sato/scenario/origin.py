@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from pydantic import TypeAdapter
 
 from sato.scenario.errors import ScenarioError
-from sato.scenario.file import read, scenarios, spell_out
+from sato.scenario.file import parse_embedded, read, scenarios, spell_out
 from sato.scenario.overrides import Setting
 
 
@@ -51,6 +51,8 @@ class Origin(NamedTuple):
         if self.kind != "built-in":
             return True
         try:
-            return read(self.name, self.overrides).to_toml() == text
+            told = read(self.name, self.overrides).to_toml()
+            # Versions before a key was known did not write it.
+            return text == told or parse_embedded(text).to_toml() == told
         except ScenarioError:
             return False

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from math import ceil, inf
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from dynamics.units import MAY_BE_INFINITE
 from problems.obstacle_paths import nearest_points, select_near
 from problems.path_separation import enclosing_balls, near_pieces
 from sato.network.graph import CommunicationGraph
@@ -25,7 +26,7 @@ TINY = 1e-300  # in place of zero, to divide by
 class PathMessage(NamedTuple):
     """Message of an agent while paths push each other aside."""
 
-    rank: float  # class of priority
+    rank: Annotated[float, MAY_BE_INFINITE]  # class of priority
     path: Float[Array, "pieces d"]
     clearance: float  # that two of the sender's kind would keep [m]
     target: Float[Array, " d"]  # position [m]

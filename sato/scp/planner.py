@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from dynamics.units import MAY_BE_INFINITE
 from problems import convexify
 from problems.avoidance import RELAXES_HALF_SPACES, AvoidanceProblem, AvoidanceResult, Relaxation
 from problems.conic import Unsolved
@@ -54,7 +55,7 @@ MAX_SOLVES = 20  # programs, after which an agent stops improving (Proposition 4
 
 # Class, −cost spent, number [Remark 5]. Who cannot move any more is of the first class; others are
 # of the negative priority that a mission gives them.
-Priority = tuple[float, float, int]
+Priority = tuple[Annotated[float, MAY_BE_INFINITE], float, int]
 
 
 class TrajectoryMessage(NamedTuple):

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
-from sato.figures.axes import add_titles, escape_formulas
+from sato.figures.axes import add_titles, as_label
 from sato.figures.style import DARK_GRAY
 from sato.formation.check.recorded import FormationRecord
 
@@ -49,10 +49,10 @@ def _matrix_title(way: str, rate: float, bound: float) -> str:
 
 def _graph_title(gains: GainMatrix) -> str:
     formation = gains.formation
-    name = escape_formulas(formation.name.rpartition("/")[2]) or f"{len(formation.points)} points"
+    name = as_label(formation.name.rpartition("/")[2]) or f"{len(formation.points)} points"
     edges = f"{formation.edge_count} edges, {100 * formation.density:.3g} % of all"
     both = f"rate {gains.convergence_rate:.3f}/s, jointly ≤ {gains.joint_bound:.3f}/s"
-    return f"{name}, by {gains.method}\n{edges}\n{both}"
+    return f"{name}, by {as_label(gains.method)}\n{edges}\n{both}"
 
 
 def _plot_graph(

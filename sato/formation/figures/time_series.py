@@ -10,7 +10,7 @@ from scipy.spatial.distance import pdist
 
 from problems.alignment import compute_shape_error
 from sato.figures import panels
-from sato.figures.axes import add_legend, escape_formulas
+from sato.figures.axes import add_legend, as_label
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, PURPLE
 from sato.formation.check.recorded import FormationRecord
 from sato.formation.supervisor import Phase
@@ -39,7 +39,7 @@ def is_leg_active(record: FormationRecord) -> Bool[Array, " instants"]:
 
 def formation_name(record: FormationRecord, leg: int) -> str:
     """Return the name of a leg's formation without that of its group; it may be empty."""
-    return escape_formulas(record.mission.gains[leg].formation.name.rpartition("/")[2])
+    return as_label(record.mission.gains[leg].formation.name.rpartition("/")[2])
 
 
 def subsample(count: int, most: int) -> Int[Array, " kept"]:

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from scipy.spatial import ConvexHull
 
 from dynamics.trajectory_geometry import control_points, evaluate_bezier
-from sato.figures.axes import ORBITAL_PLANE, AxisBounds, Projection, escape_formulas
+from sato.figures.axes import ORBITAL_PLANE, AxisBounds, Projection, as_label
 from sato.figures.style import DARK_GRAY, GRAY, ISOLATED, LIGHT_GRAY, style_components
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 
@@ -42,7 +42,7 @@ class Scene:
         everything = Projection(tuple(range(d)), ("x", "y", "z")[:d])
         self.record = record
         self.view = view or (everything if record.variables.chief is None else ORBITAL_PLANE)
-        self.leg_names = [escape_formulas(name) for name in record.leg_names]
+        self.leg_names = [as_label(name) for name in record.leg_names]
         self.legs = record.leg_records
         parts = np.arange(POINTS_PER_STEP * (len(record.time) - 1) + 1) / POINTS_PER_STEP
         self.path = self.positions_at(parts)
