@@ -292,6 +292,17 @@ def test_tables_of_a_campaign_are_plain(campaign, tmp_path, command):
     assert result.exit_code == 2 and "is no campaign, for" in result.output
 
 
+@pytest.mark.parametrize("name", [b"CREATE TABLE runs", b"scenarios", b"INTEGER PRIMARY KEY"])
+def test_a_damaged_schema_of_a_campaign_is_told_in_words(campaign, tmp_path, name):
+    folder = copied(campaign, tmp_path, "VACUUM")
+    file = folder / "campaign.sqlite"
+    file.write_bytes(file.read_bytes().replace(name, name[:3] + b"\xc5\x01(" + name[6:]))
+    for word in ("status", "table"):
+        result = call("campaign", word, folder)
+        assert result.exit_code in (1, 2) and "campaign.sqlite" in result.output
+        assert "fault of the program" not in result.output
+
+
 def test_names_of_columns_are_text(campaign, tmp_path):
     folder = copied(campaign, tmp_path, 'ALTER TABLE runs ADD COLUMN "moreover" TEXT')
     file = folder / "campaign.sqlite"

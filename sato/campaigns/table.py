@@ -287,8 +287,8 @@ def describe_errors(path: Path) -> Iterator[None]:
     """Make a `TableError` with a sentence of what SQLite reports."""
     try:
         yield
-    except sqlite3.Error as error:
-        text = str(error)
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # of a sentence of SQLite, with bytes
+        text = str(error) if isinstance(error, sqlite3.Error) else "the file is damaged"
         if "locked" in text:
             text = f"another program has locked the table for more than {PATIENCE:g} s"
         elif "full" in text or "disk I/O" in text:
