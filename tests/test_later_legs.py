@@ -93,3 +93,9 @@ def test_given_targets_are_held_against_the_limit_of_their_own_vehicle():
     with pytest.raises(InputError, match=r"target 1 has to be reached at 0.3 m/s"):
         swapped = {"max_speed": [0.4, 0.2]}
         make_mission(row(2, 0.0), Leg(moving, 20), **(LIMITS | given | speeds | swapped))
+
+
+def test_a_share_that_is_nobody_is_warned_of():
+    leg = Leg(NEAR, 20, losses=[Loss("middle", share=0.34), Loss("random", share=0.1)])
+    (warning,) = make_mission(row(3, 0.0), leg, **LIMITS).warnings()
+    assert warning == "leg.0.lose.share: 0.1 of 3 agents is nobody"
