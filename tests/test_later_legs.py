@@ -99,3 +99,15 @@ def test_a_share_that_is_nobody_is_warned_of():
     leg = Leg(NEAR, 20, losses=[Loss("middle", share=0.34), Loss("random", share=0.1)])
     (warning,) = make_mission(row(3, 0.0), leg, **LIMITS).warnings()
     assert warning == "leg.0.lose.share: 0.1 of 3 agents is nobody"
+
+
+def test_an_agent_that_is_lost_before_it_joins_is_refused():
+    join = Join(1, row(1, 6.0), at_step=4)
+    for at_step in (4, 7):
+        leg = Leg(
+            row(4, 3.0), 20, joins=[join], losses=[Loss("agents", agents=(3,), at_step=at_step)]
+        )
+        assert make_mission(row(3, 0.0), leg, **LIMITS)
+    early = replace(leg, losses=[Loss("agents", agents=(3,), at_step=3)])
+    with pytest.raises(InputError, match=r"leg\.0\.lose\.at_step: 3 is before agent 3 joins; 4 "):
+        make_mission(row(3, 0.0), early, **LIMITS)

@@ -229,6 +229,11 @@ def _check_legs(mission: "Reconfiguration") -> None:
         if lost >= known:
             reason = f"there is no agent {lost}; they are 0 to {known - 1}"
             raise InputError(f"leg.{number}.lose.agents", reason)
+        joined = {i: step for agents, step in mission.joining(number) for i in agents}
+        for i, at in ((i, loss.at_step) for loss in leg.losses for i in loss.agents):
+            if at < joined.get(i, 0):
+                reason = f"{at} is before agent {i} joins; {joined[i]} or more would do"
+                raise InputError(f"leg.{number}.lose.at_step", reason)
         if mission.assignment == "given":
             _check_given(f"leg.{number}", leg, enough)
         if leg.count is not None and leg.count < enough:
