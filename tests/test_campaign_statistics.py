@@ -122,6 +122,8 @@ def test_terms_are_what_the_rows_say(table):
         ("fuel_m_s//wall_s", "is not COLUMN"),
         ("exit", "exit=reached|exit=broken|exit=time limit"),
         ("wall_s:rate", "neither true nor false"),
+        ("fuel_m_s<0,5", '< needs a number, such as 0.5, got "0,5"'),
+        ("fuel_m_s>=0.5 m/s:rate", '>= needs a number, such as 0.5, got "0.5 m/s"'),
     ],
 )
 def test_what_cannot_be_shown_is_refused_with_what_would_do(table, text, reason):

@@ -93,3 +93,21 @@ def test_given_targets_are_held_against_the_limit_of_their_own_vehicle():
     with pytest.raises(InputError, match=r"target 1 has to be reached at 0.3 m/s"):
         swapped = {"max_speed": [0.4, 0.2]}
         make_mission(row(2, 0.0), Leg(moving, 20), **(LIMITS | given | speeds | swapped))
+
+
+def test_a_share_that_is_nobody_is_warned_of():
+    leg = Leg(NEAR, 20, losses=[Loss("middle", share=0.34), Loss("random", share=0.1)])
+    (warning,) = make_mission(row(3, 0.0), leg, **LIMITS).warnings()
+    assert warning == "leg.0.lose.share: 0.1 of 3 agents is nobody"
+
+
+def test_an_agent_that_is_lost_before_it_joins_is_refused():
+    join = Join(1, row(1, 6.0), at_step=4)
+    for at_step in (4, 7):
+        leg = Leg(
+            row(4, 3.0), 20, joins=[join], losses=[Loss("agents", agents=(3,), at_step=at_step)]
+        )
+        assert make_mission(row(3, 0.0), leg, **LIMITS)
+    early = replace(leg, losses=[Loss("agents", agents=(3,), at_step=3)])
+    with pytest.raises(InputError, match=r"leg\.0\.lose\.at_step: 3 is before agent 3 joins; 4 "):
+        make_mission(row(3, 0.0), early, **LIMITS)

@@ -91,6 +91,8 @@ def parse_term(text: str, table: CampaignTable) -> Term:
         sql = f"1.0 * {sql} / {quote(divisor, table)}"
     if relation:
         label, is_rate, parameters = f"{label} {relation} {value}", True, (_as_number(value),)
+        if relation not in _SAME and isinstance(parameters[0], str):  # SQL has text above numbers
+            raise InputError("", f'"{text}": {relation} needs a number, such as 0.5, got "{value}"')
         if relation in _SAME:  # "30" may be a number, and the name of a case
             relation, parameters = _SAME[relation], (*parameters, value)
         sql = f"{sql} {relation} " + ("(?, ?)" if len(parameters) > 1 else "?")

@@ -229,6 +229,11 @@ def _check_legs(mission: "Reconfiguration") -> None:
         if lost >= known:
             reason = f"there is no agent {lost}; they are 0 to {known - 1}"
             raise InputError(f"leg.{number}.lose.agents", reason)
+        joined = {i: step for agents, step in mission.joining(number) for i in agents}
+        for i, at in ((i, loss.at_step) for loss in leg.losses for i in loss.agents):
+            if at < joined.get(i, 0):
+                reason = f"{at} is before agent {i} joins; {joined[i]} or more would do"
+                raise InputError(f"leg.{number}.lose.at_step", reason)
         if mission.assignment == "given":
             _check_given(f"leg.{number}", leg, enough)
         if leg.count is not None and leg.count < enough:
@@ -290,7 +295,7 @@ def check_programs(d: int, legs: "Sequence[Leg]") -> None:
 
 
 def list_doubts(mission: "Reconfiguration") -> list[str]:
-    """List legs of a drawn mission that are so long that a unit is likely to be wrong."""
+    """List legs of a drawn mission so long that a unit is likely wrong, and losses of nobody."""
     doubts, before = list[str](), mission.initial_states[:, : mission.axes]
     for number, leg in enumerate(mission.legs):
         places = leg.targets[:, : mission.axes]
@@ -299,7 +304,10 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
         reason = f"for up to {far:.4g} m at up to {speed:.3g} m/s and {control:.3g} m/s²"
         reason += "; are the positions in m, and the limits in m/s and m/s²?"
         doubts += doubt_long(f"leg.{number}", leg.steps, mission.step, reason)
-        before = places
+        before, most = places, len(mission.initial_states)
+        for share in (loss.share for loss in leg.losses if loss.share):
+            if round(share * most) == 0:
+                doubts.append(f"leg.{number}.lose.share: {share:g} of {most} agents is nobody")
     return doubts
 
 
