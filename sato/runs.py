@@ -250,7 +250,7 @@ def run(
     """
     began = perf_counter()
     if processes is None and (port is not None or speed != 1):
-        reason = 'is of processes, and has no effect without; processes = "free-running" would do'
+        reason = 'is of processes; processes = "free-running", or --free-running, would do'
         raise InputError("speed" if port is None else "port", reason)
     overrides = list_settings(overrides)
     # With matrices as small as these, the threads of BLAS only wait for each other.

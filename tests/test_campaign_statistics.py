@@ -214,7 +214,9 @@ def test_figures_show_the_groups_and_the_runs(table):
     drawn = sum(len(line.get_xdata()) for line in figures["scatter"].axes[0].lines)
     assert drawn == sum(row["fuel_m_s"] is not None for row in table.rows())
     with pytest.raises(InputError, match="nothing to draw"):
-        draw_campaign(table, where=["exit=none"])
+        draw_campaign(table, where=["exit=died"])
+    with pytest.raises(InputError, match='there is no exit "reachd"; there are reached, done'):
+        draw_campaign(table, where=["exit=reachd"])
 
 
 def test_curve_of_a_distribution_ends_at_the_share_that_is_finite():

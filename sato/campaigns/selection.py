@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from sato.campaigns.statistics import NAMES, Statistics, is_statistic
-from sato.campaigns.table import CampaignTable
+from sato.campaigns.table import EXITS, CampaignTable
 from sato.scenario.errors import InputError, closest_name, join_names
 from sato.scenario.errors import format_value as format_input
 from sato.summary import format_value
@@ -16,6 +16,7 @@ _TERM = re.compile(
     r"(?:(?P<relation><=|>=|!=|=|<|>)(?P<value>[^:]*))?(?::(?P<statistic>\w+))?"
 )
 _SAME = {"=": "IN", "!=": "NOT IN"}
+_EXITS = join_names(EXITS, "and")
 Texts = Sequence[str]
 # If nothing else is asked for, those of which the campaign has the columns.
 DEFAULT_TERMS = {
@@ -93,6 +94,8 @@ def parse_term(text: str, table: CampaignTable) -> Term:
         label, is_rate, parameters = f"{label} {relation} {value}", True, (_as_number(value),)
         if relation not in _SAME and isinstance(parameters[0], str):  # SQL has text above numbers
             raise InputError("", f'"{text}": {relation} needs a number, such as 0.5, got "{value}"')
+        if column == "exit" and value not in EXITS:
+            raise InputError("", f'"{text}": there is no exit "{value}"; there are {_EXITS}')
         if relation in _SAME:  # "30" may be a number, and the name of a case
             relation, parameters = _SAME[relation], (*parameters, value)
         sql = f"{sql} {relation} " + ("(?, ?)" if len(parameters) > 1 else "?")

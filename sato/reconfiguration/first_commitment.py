@@ -292,7 +292,8 @@ def check_stops(
     if len(far):
         a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
-        slower = float(np.linalg.norm(state[a, d:])) * (max(reach, 0.0) / way) ** 0.5
+        # At a share of the speed it takes no more steps, so at most that share of the way.
+        slower = float(np.linalg.norm(state[a, d:])) * max(reach, 0.0) / way
         cures = [f"a speed of {round_down(slower)} m/s"]
         cures += _wider(mission, mission.radius_for_way(way))
         raise InputError(
