@@ -285,7 +285,7 @@ def test_a_collision_is_marked_in_trajectories_player_and_film(collided, tmp_pat
 def test_rows_of_a_campaign_have_a_verdict_and_are_sorted(tmp_path):
     sato.campaign(
         "crossing", trials=2, out=tmp_path, workers=1, grid={"collision_radius_m": [0.8, 1.0]}
-    )
+    ).close()
     with open_table(tmp_path) as table:
         assert [row["verdict"] for row in table.rows()] == 4 * ["kept"]
         for sort, sign in (("min_separation_m", 1), ("-min_separation_m", -1)):
