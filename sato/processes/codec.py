@@ -120,10 +120,11 @@ def _write(out: bytearray, value: Any) -> None:
             _write(out, getattr(value, name))
     elif value is None or isinstance(value, bool | np.bool_):
         out += b"n" if value is None else b"T" if value else b"F"
+    elif isinstance(value, int | np.integer) and -(2**63) <= value < 2**63:
+        out += struct.pack("<cq", b"i", value)
     elif isinstance(value, int | np.integer):
-        is_short, size = -(2**63) <= value < 2**63, int(value).bit_length() // 8 + 1
-        out += struct.pack("<cq", b"i", value) if is_short else struct.pack("<cI", b"j", size)
-        out += b"" if is_short else int(value).to_bytes(size, "little", signed=True)
+        size = int(value).bit_length() // 8 + 1
+        out += struct.pack("<cI", b"j", size) + int(value).to_bytes(size, "little", signed=True)
     elif isinstance(value, float):
         out += struct.pack("<cd", b"f", value)
     elif isinstance(value, str | bytes):
