@@ -272,24 +272,20 @@ class AvoidanceProblem:
         on_others = np.zeros((rows, others))
         on_others[:, others - slacks :] = -1.0
         separation = np.hstack([*(-s * U * coeffs for s in signs), on_others])
-        limits = self._limit_rows(free, limited)
-        linear, cones = ([part for part, _ in kind] for kind in limits)
-        linear_rhs, cones_rhs = ([more for _, more in kind] for kind in limits)
+        linear, cones = self._limit_rows(free, limited)
 
-        zero, apart = map(SparseRows.from_dense, (scale * terminal, separation))
-        columns = terminal.shape[1]
-        A, sizes = stack_with_bounds(zero, [apart, *linear], cones, count, columns, m + 1)
-        bounds = np.concatenate([np.ones(count), np.zeros(A.shape[1])])
-        bounds[count : 2 * count] = len(signs) == 1  # −1 ≤ u, and 0 ≤ u⁺, u⁻
         terminal_rhs = scale * whitening @ (self.goal - free[T])
-        b = np.concatenate([terminal_rhs, rhs, *linear_rhs, bounds, *cones_rhs])
+        zero = SparseRows.from_dense(scale * terminal, terminal_rhs)
+        linear = [SparseRows.from_dense(separation, rhs), *linear]
+        columns, negative = terminal.shape[1], float(len(signs) == 1)  # −1 ≤ u, and 0 ≤ u⁺, u⁻
+        A, b, sizes = stack_with_bounds(zero, linear, cones, count, columns, m + 1, negative)
         q = np.concatenate([cost, fuel[:norms], penalty])
         return ConicProgram(q, A, b, *sizes, P=P)
 
     def _limit_rows(
         self, free: Float[Array, "instants n"], limited: Int[Array, " limited"]
-    ) -> list[list[tuple[SparseRows, Array]]]:
-        """Return rows and right-hand sides of limits and norms: inequalities, and cones.
+    ) -> tuple[list[SparseRows], list[SparseRows]]:
+        """Return rows of limits and norms: inequalities, and cones.
 
         Limits of the norm ∞ on controls are the bounds of the unknowns.
         """
@@ -298,21 +294,22 @@ class AvoidanceProblem:
         limit, speed = transfer.control_limit, transfer.speed_limit
         rows, rhs = speed.constrain(limit.most * R[limited, m:], free[limited, m:])
         signed = np.hstack([-rows, rows]) if is_signed else -rows
-        kinds: list[list[tuple[SparseRows, Array]]] = [[], []]
-        kinds[speed.faces is None].append((SparseRows.from_dense(signed), rhs))
+        kinds: tuple[list[SparseRows], list[SparseRows]] = ([], [])
+        kinds[speed.faces is None].append(SparseRows.from_dense(signed, rhs))
         share = limit.shares if np.ndim(limit.bound) else 1.0
-        each = [(Limit(share, limit.norm, m), False)] if limit.norm != "inf" else []
+        limits = [(Limit(share, limit.norm, m), False)] if limit.norm != "inf" else []
         if self.own_unknowns > self.unknown_controls:
-            each.append((Limit(1.0, transfer.fuel_norm, m), True))
-        for bound, is_of_norms in each:
+            limits.append((Limit(1.0, transfer.fuel_norm, m), True))
+        for bound, is_of_norms in limits:
             rows, rhs = bound.constrain(np.diag(limit.shares)[None], np.zeros((1, m)))
-            part = SparseRows.from_steps(-rows, T)
+            still = np.zeros_like(rhs)
+            part = SparseRows.from_steps(-rows, T, still if is_of_norms else rhs)
             if is_signed:
-                part = part.join(SparseRows.from_steps(rows, T), T * m)
+                part = part.join(part.negate(), T * m)
             if is_of_norms:  # at most another unknown
-                part = part.join(SparseRows.from_steps(-rhs[:, None], T), self.unknown_controls)
-                rhs = np.zeros_like(rhs)
-            kinds[bound.faces is None].append((part, np.tile(rhs, T)))
+                sizes = SparseRows.from_steps(-rhs[:, None], T, still)
+                part = part.join(sizes, self.unknown_controls)
+            kinds[bound.faces is None].append(part)
         return kinds
 
 

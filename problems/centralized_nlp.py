@@ -9,13 +9,14 @@ import numpy as np
 from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import block_diag, bsr_array, coo_array, csc_matrix, eye_array, hstack
+from scipy.sparse import bsr_array, csc_matrix, eye_array, hstack
 
 from dynamics.doors import checked
 from dynamics.inputs import InputError, check_finite, read_array
 from dynamics.symbols import is_symbolic
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon
 from problems.limit import Limit
+from problems.sparse_rows import stack_diagonally
 from problems.transfer import TransferProblem
 
 MIN_DISTANCE = 1 + SEPARATION_TOLERANCE  # of the pair's R, without padding
@@ -258,10 +259,9 @@ class SwarmProgram:
         steps, unit = self.transfer.model, self.state_units
         T, n = len(steps), len(unit)
         A, B = steps.A * unit, steps.B * self.control_unit
-        none = coo_array((0, 0))  # of blocks without a sparse one, SciPy warns
-        before = hstack([block_diag([none, *A / unit[:, None]]), csc_matrix((T * n, n))])
+        before = hstack([stack_diagonally(A / unit[:, None]), csc_matrix((T * n, n))])
         on_x = eye_array(T * n, (T + 1) * n, k=n) - before
-        on_u = -block_diag([none, *B / unit[:, None]])
+        on_u = -stack_diagonally(B / unit[:, None])
         return csc_matrix(on_x), csc_matrix(on_u), (steps.z / unit).ravel()
 
     def _relative_position_maps(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from scipy.sparse import block_array, block_diag, csc_array, csr_array, diags_array, eye_array
+from scipy.sparse import block_array, csc_array, csr_array, diags_array, eye_array
 
 from problems.conic import ConicProgram
 from problems.convexify import SEPARATION_TOLERANCE, AvoidanceHorizon, choose_normals
@@ -19,6 +19,7 @@ from problems.limit import Limit
 from problems.obstacle_paths import ObstaclePaths, measure_gaps, support_obstacles
 from problems.path_separation import enclosing_balls
 from problems.solvers.verified import solve_program
+from problems.sparse_rows import stack_diagonally
 
 CHANGE_WEIGHT = 1e-2  # of the square of a change at the limit, for a step
 SLACK_WEIGHT = 30.0  # of a lack of the whole distance
@@ -221,8 +222,7 @@ class JointStopProblem:
                 kinds[1 if limit.faces is not None else 2].append((-rows, rhs))
             found.append([map(np.concatenate, zip(*kind, strict=True)) for kind in kinds])
         each_kind = [zip(*kind, strict=True) for kind in zip(*found, strict=True)]
-        none = csr_array((0, 0))  # of blocks without a sparse one, SciPy warns
-        return [(block_diag([none, *rows]), np.concatenate(rhs)) for rows, rhs in each_kind]
+        return [(stack_diagonally(rows), np.concatenate(rhs)) for rows, rhs in each_kind]
 
     def _solve(
         self,

@@ -102,29 +102,23 @@ class SafetyFilterProblem:
         (T, n, m), N, limit = transfer.model.B.shape, self._controls, transfer.control_limit
         free, R = transfer.coast(self.start), limit.most * transfer.response_matrices[0]
         errors = np.hstack([np.eye(n), -np.eye(n)])
-        zero = np.vstack([_on_both_signs(R[T, m:], 2 * n), np.hstack([R[k], -R[k], errors])])
-        zero_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
+        still = np.hstack([R[T, m:], -R[T, m:], np.zeros((m, 2 * n))])
+        equal_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
+        zero = SparseRows.from_dense(
+            np.vstack([still, np.hstack([R[k], -R[k], errors])]), equal_rhs
+        )
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
-        kinds: tuple[list[tuple[SparseRows, Array]], ...] = ([], [])
-        kinds[0].append((SparseRows.from_dense(-limit.most * coeffs), rhs))
+        kinds: tuple[list[SparseRows], list[SparseRows]] = ([], [])
+        kinds[0].append(SparseRows.from_dense(-limit.most * coeffs, rhs))
         if isfinite(limit.most) and limit.norm != "inf":  # whose limits are the unknowns' bounds
             controls = np.diag(limit.most * limit.shares)[None]
-            rows, more = limit.constrain(controls, np.zeros((1, m)))
-            part = SparseRows.from_steps(-rows, T), np.tile(more, T)
-            kinds[limit.faces is None].append(part)
+            rows, rhs = limit.constrain(controls, np.zeros((1, m)))
+            kinds[limit.faces is None].append(SparseRows.from_steps(-rows, T, rhs))
         if isfinite(transfer.speed_limit.most):
-            rows, more = transfer.speed_limit.constrain(R[1:T, m:], free[1:T, m:])
-            kinds[transfer.speed_limit.faces is None].append((SparseRows.from_dense(-rows), more))
-        linear, cones = ([part.join(part.negate(), N) for part, _ in kind] for kind in kinds)
-        linear_rhs, cones_rhs = ([more for _, more in kind] for kind in kinds)
-        parts = SparseRows.from_dense(zero), linear, cones
-        A, sizes = stack_with_bounds(*parts, 2 * N, 2 * N + 2 * n, m + 1)
-        b = [zero_rhs, *linear_rhs, np.ones(2 * N), np.zeros(2 * N + 2 * n), *cones_rhs]
+            rows, rhs = transfer.speed_limit.constrain(R[1:T, m:], free[1:T, m:])
+            kinds[transfer.speed_limit.faces is None].append(SparseRows.from_dense(-rows, rhs))
+        linear, cones = ([part.join(part.negate(), N) for part in kind] for kind in kinds)
+        A, b, sizes = stack_with_bounds(zero, linear, cones, 2 * N, 2 * N + 2 * n, m + 1)
         weight, fuel = np.repeat([1.0, dt], m), self._fuel_weight * dt * limit.most
         q = np.concatenate([np.tile(fuel * limit.shares, 2 * T), weight, weight])
-        return ConicProgram(q, A, np.concatenate(b), *sizes)
-
-
-def _on_both_signs(rows: Float[Array, "rows controls"], more: int) -> Float[Array, "rows unknowns"]:
-    """Return rows on u⁺ and u⁻, and zeros for further unknowns."""
-    return np.hstack([rows, -rows, np.zeros((len(rows), more))])
+        return ConicProgram(q, A, b, *sizes)
