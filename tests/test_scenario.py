@@ -259,7 +259,7 @@ RECOUNT = "leg.1.recount=true"
         (["leg.0.lose={kind='agents',agents=[0],at_step=3}", RECOUNT], [3, 3]),
         (["leg.1.join={agents=2,start={kind='lattice',spacing_m=9}}"], [3, 5]),
         ([JOINS_LATE, "leg.0.lose={kind='middle',share=0.4}"], [4, 4]),
-        ([JOINS_LATE, "leg.0.lose={kind='agents',agents=[3]}"], [5, 5]),
+        ([JOINS_LATE, "leg.0.lose={kind='agents',agents=[3],at_step=2}"], [5, 5]),
     ],
 )
 def test_target_demand_follows_losses_and_joins(overrides, expected):
