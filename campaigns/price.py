@@ -25,7 +25,7 @@ from dynamics import (
     invariant_velocity,
 )
 from problems.centralized import CentralizedProblem, NoFeasibleSolution, SimulatedSolution
-from problems.centralized_nlp import InitialGuess, displace_guess
+from problems.centralized_nlp import InitialGuess
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.network.graph import CommunicationGraph
@@ -212,3 +212,13 @@ def _initial_guesses(
     ways |= {f"random {k}": radius * rng.normal(size=along.shape) for k in range(count)}
     displaced = {name: displace_guess(free, mission.step, way) for name, way in ways.items()}
     return {"alone": free} | displaced
+
+
+def displace_guess(guess: InitialGuess, dt: float, by: Array) -> InitialGuess:
+    """Displace every trajectory of a guess sideways: most half-way [m], not at the ends."""
+    x, u = guess
+    T = u.shape[1]
+    phase = np.pi * np.arange(T + 1)[:, None] / T
+    position = np.sin(phase) * by[:, None]
+    speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
+    return x + np.concatenate([position, speed], axis=-1), u

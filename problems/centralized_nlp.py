@@ -296,13 +296,3 @@ def _limit_norm(casadi: Any, limit: Limit, v: Any, unit: float) -> tuple[Any, Ar
         return casadi.sum1(scaled**2), -inf * most, most
     most = np.full(len(limit.faces) * v.shape[1], limit.most / unit)
     return casadi.DM(limit.faces) @ v, -inf * most, most
-
-
-def displace_guess(guess: InitialGuess, dt: float, by: Float[Array, "agents d"]) -> InitialGuess:
-    """Displace every trajectory of a guess sideways: most half-way [m], not at the ends."""
-    x, u = guess
-    T = u.shape[1]
-    phase = np.pi * np.arange(T + 1)[:, None] / T
-    position = np.sin(phase) * by[:, None]
-    speed = np.pi / (T * dt) * np.cos(phase) * by[:, None]
-    return x + np.concatenate([position, speed], axis=-1), u

@@ -32,9 +32,11 @@ UNBOUNDED = ("lambda2", "lambda3", "lambda2_estimate")  # infinite for one or tw
 LABELS = {"axis": AXIS_NAMES, "purpose": PURPOSES}
 LARGEST_WHOLE = 2**53  # number that a double holds
 LISTS = ("agents", "believed", "component", "point", "steps", "target", "targets")  # in events
-# Entries that the check reads of events, beside time, kind and agents, by system.
-NEEDED: dict[str, dict[str, str]] = {
+PLAIN = "arrival braked cautious closed infeasible join loss refused reset silent slack unconfirmed"
+# Kinds of events by system, each with what the check reads of it beside its time and agents.
+EVENTS: dict[str, dict[str, str]] = {
     "reconfiguration": {
+        **dict.fromkeys(PLAIN.split(), ""),
         "leg_start": "leg",
         "leg_end": "leg target believed component",
         "assignment": "target",
@@ -49,14 +51,14 @@ NEEDED: dict[str, dict[str, str]] = {
         "assignment": "point",
         "auction": "leg rounds",
     },
-    "connectivity": {},
+    "connectivity": dict.fromkeys("loss split waypoint whole".split(), ""),
 }
 
 
 def find_damage(data: RunData, mission: Any | None) -> str:
     """Describe the first value that no run of a drawn mission, or of any, has; empty if none."""
     system = load_system(data.attrs["system"])
-    if system.name not in NEEDED:
+    if system.name not in EVENTS:
         return ""  # of a user's own, which may record anything
     kinds = filter(None, (system.run_variables, CommonVariables))
     fields = {name: field for kind in kinds for name, field in recorded_fields(kind).items()}
@@ -73,7 +75,7 @@ def find_damage(data: RunData, mission: Any | None) -> str:
                 return f"the file has {sizes[dim]} {names}, and its scenario {wanted}"
     faults = (_find_fault(data, name, field, sizes) for name, field in fields.items())
     fault = next(filter(None, faults), "")
-    return fault or next(_find_event_faults(data, NEEDED[system.name], sizes), "")
+    return fault or next(_find_event_faults(data, EVENTS[system.name], sizes), "")
 
 
 def _list_sizes(mission: Any) -> dict[str, int]:
@@ -122,7 +124,10 @@ def _find_event_faults(
         if not isinstance(event, dict) or not isinstance(event.get("kind"), str):
             yield f"event {number} is no table with a kind"
             continue
-        entries = ["time", "agents", *needed.get(event["kind"], "").split()]
+        if event["kind"] not in needed:
+            yield f"event {number} is of kind {shorten(event['kind'])}, which no run has"
+            continue
+        entries = ["time", "agents", *needed[event["kind"]].split()]
         for name in dict.fromkeys([*entries, *filter(RANGES.__contains__, event)]):
             value = event.get(name)
             if not _is_entry(event, name, value, sizes):

@@ -26,12 +26,12 @@ from sato.check.common import EventLog
 from sato.check.report import Promise, Report, Verdict
 from sato.compilation import announce_compilation
 from sato.console import show_mission_progress
-from sato.damage import find_damage
+from sato.damage import EVENTS, find_damage
 from sato.interfaces import Frame, System
 from sato.resource_usage import peak_memory_mib
 from sato.run_data import RunData
 from sato.scenario.definition import Seed
-from sato.scenario.errors import InputError, ScenarioError
+from sato.scenario.errors import InputError, ScenarioError, join_names
 from sato.scenario.file import NO_MISSION, Mission, describe_own, from_dict, parse_embedded, read
 from sato.scenario.origin import Origin
 from sato.scenario.overrides import Setting, list_settings
@@ -102,7 +102,15 @@ class Run:
             raise record.RunFileError(f"the record is damaged: {damage}")
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
-        """Return the events in the order of time; of the given kinds only, if any."""
+        """Return the events in the order of time; of the given kinds only, if any.
+
+        Raises:
+            InputError: No run of this system has such a kind.
+        """
+        known = EVENTS.get(self.recorded.attrs["system"], kinds)
+        if unknown := set(kinds).difference(known):
+            names = join_names(sorted(known))
+            raise InputError("kinds", f"{unknown.pop()!r} is no kind of event; {names} would do")
         log = EventLog.from_data(self.recorded)
         return [event for event in log.events if not kinds or event["kind"] in kinds]
 

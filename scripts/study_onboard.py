@@ -12,11 +12,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from onboard_library import SOLVED, CompiledSolver, random_instances
 
 from problems.avoidance import AvoidanceProblem
 from sato.onboard import export_c
-from sato.onboard.library import SOLVED, CompiledSolver
-from sato.onboard.problem import random_instances
 
 INSTANCE_COUNT = 1000
 SIZES = {"uiuc": (5, 40), "random3d": (3, 20), "crossing": (1, 36)}  # neighbors, steps

@@ -419,6 +419,9 @@ def test_memory_of_an_agent_is_that_of_one():
     _, agents = four()
     with pytest.raises(sato.InputError, match="memory: is that of agent 2, and this is agent 1"):
         agents[1].memory = agents[2].memory
+    slower = sato.Agent(replace(agents[2].mission, tie_break=0.1), 2)
+    with pytest.raises(sato.InputError, match="memory: is that of an agent of another mission"):
+        slower.memory = agents[2].memory
 
 
 def test_agent_bids_on_no_more_targets_than_its_leg_has():

@@ -323,6 +323,15 @@ def test_a_function_may_draw_missions():
     assert drawn[0] == drawn[2] != drawn[1]
 
 
+def test_a_function_draws_by_its_generator_alone():
+    with pytest.raises(InputError, match="draws two missions from one seed"):
+        campaign(scenario=draw_by_chance).trial(0).build_mission()
+
+
+def draw_by_chance(rng: np.random.Generator):
+    return draw_mission(np.random.default_rng())
+
+
 def draw_mission(rng: np.random.Generator):
     return sato.read("conflict", [f"comm_radius_m={rng.uniform(3.0, 3.2)}"])
 

@@ -1,6 +1,8 @@
 """Centralized problem: laws, convex cases, and the distributed method against it."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import casadi
 import numpy as np
@@ -12,11 +14,14 @@ from planner_examples import RADIUS, STEP, T, make_planner
 from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.trajectory_geometry import evaluate_bezier, separations
 from problems.centralized import CentralizedProblem, NoFeasibleSolution
-from problems.centralized_nlp import SeparationConstraints, SwarmProgram, displace_guess
+from problems.centralized_nlp import SeparationConstraints, SwarmProgram
 from problems.convexify import AvoidanceHorizon
 from problems.transfer import TransferProblem
 from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 from sato.scp.exchange import run_scp
+
+sys.path.append(str(Path(__file__).parents[1] / "campaigns"))
+from price import displace_guess
 
 
 def question(axes=2, radius=RADIUS, pieces=2, model=None, step=STEP, **norms):

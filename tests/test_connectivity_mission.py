@@ -269,6 +269,8 @@ def test_infeasible_missions_are_refused_with_a_value_that_would_do(changes, mes
 def test_fast_leader_and_slow_power_iteration_are_doubted():
     (fast,) = drawn("stick.speed_m_s=4").warnings()
     assert re.search(r"asks for 4 m/s, and limits.speed_m_s = 3 .* 2 m/s", fast)
+    (turning,) = drawn("limits.turn_rad_s=90").warnings()
+    assert "14.3 turns a second; is it in rad/s?" in turning
     (slow,) = drawn("estimator.kind=power_pi").warnings()
     assert re.search(r"fly 6 mm from one .* limits.speed_m_s = 1.25 would do", slow)
     assert not drawn().warnings()

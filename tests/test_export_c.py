@@ -2,9 +2,11 @@
 
 import ctypes
 import os
+import sys
 from dataclasses import replace
 from itertools import islice
 from math import inf
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +20,15 @@ from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.transfer import TransferProblem
 from sato.cli import app
 from sato.onboard import export, export_c
-from sato.onboard.library import INVALID_INPUT, SOLVED, UNSOLVED, CompiledSolver
-from sato.onboard.problem import random_instances
+
+sys.path.append(str(Path(__file__).parents[1] / "scripts"))
+from onboard_library import (
+    INVALID_INPUT,
+    SOLVED,
+    UNSOLVED,
+    CompiledSolver,
+    random_instances,
+)
 
 ORBIT = """
 system = "reconfiguration"

@@ -310,6 +310,7 @@ DAMAGES = {
     "event 0 is no table with a kind": lambda run: forged(
         run, data=run.data.assign(event=("event", ["{}"]))
     ),
+    "event 0 is of kind 'landed', which": renamed("kind", "landed"),
     "leg_index is 5 at time 9, which": changed("leg_index", 9, 5),
     "target_index is 100 at time 9, agent 1, which": changed("target_index", (9, 1), 99),
     "position is 1e+300 at time 9, agent 1, axis 0, which": changed("position", (9, 1, 0), 1e300),

@@ -1,6 +1,7 @@
 """Missions of the user's own, from Python alone: flown, checked, drawn, saved, loaded."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import casadi
@@ -85,6 +86,23 @@ def test_a_mission_in_free_space_keeps_its_targets_without_an_orbit():
     np.testing.assert_allclose(
         drawn.initial_states[:, 4], -2 * 1.1e-3 * drawn.initial_states[:, 0], atol=1e-12
     )
+
+
+def test_replaced_missions_choose_again_what_they_were_not_given():
+    space = sato.Reconfiguration(model=sato.ClohessyWiltshire(1.1e-3), horizon_steps=8, **SPACE)
+    gusty = replace(space, disturbance=1e-5)
+    periods = [drawn.draw(np.random.default_rng(0)).replan_steps for drawn in (space, gusty)]
+    assert periods[0] > periods[1] == 1
+    leg = SPACE["legs"][0]
+    ordered = replace(leg, shape=sato.Points(leg.shape.positions, keep_order=True))
+    assert leg.is_free and not ordered.is_free
+    assert replace(ordered, shape=leg.shape) == leg
+
+
+def test_an_orbit_shorter_than_any_is_doubted():
+    drawn = sato.Reconfiguration(model=sato.ClohessyWiltshire(0.063), **(SPACE | {"step": 1.0}))
+    with pytest.warns(UserWarning, match="an orbit takes 99.7 s, .* mean motion in rad/s"):
+        sato.run(replace(drawn, max_control=5.0, max_speed=90.0))
 
 
 @pytest.mark.parametrize("given", [{"port": 5000}, {"speed": 2.0}])

@@ -63,7 +63,17 @@ class Trial(NamedTuple):
         return str(self.source.get("name", ""))
 
     def build_mission(self) -> Mission:
-        """Build the mission that is flown; refuse parameters that it cannot have."""
+        """Build the mission that is flown; refuse parameters that it cannot have, and other chance.
+
+        A function that draws it is called twice: chance is that of its generator alone.
+        """
+        mission = self._build()
+        if isinstance(self.source, str) and self._build() != mission:
+            name = self.source
+            raise InputError("", f"{name} draws two missions from one seed; rng alone would do")
+        return mission
+
+    def _build(self) -> Mission:
         source: Any = self.source
         if isinstance(source, str):
             name, rng = source, generator(*self.stream, 1)

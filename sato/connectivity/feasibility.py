@@ -1,6 +1,6 @@
 """Checks of a mission across its fields; each error names a value that would do."""
 
-from math import hypot
+from math import hypot, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sato.connectivity.mission import Connectivity
 
 MAX_MESSAGE_AGE = MAX_ROW_AGE / 5  # rows are relayed several times before they are forgotten [s]
+FAST_TURN = 4 * pi  # rate beyond which it is likely given in degrees [rad/s]
 MAX_POWER_STEP = 2.5e-3  # distance flown per exchange of power_pi at which 50 runs held [m]
 
 
@@ -181,6 +182,9 @@ def doubts(mission: "Connectivity") -> list[str]:
     found = doubt_long("run", steps, mission.step, f"as it says{unit}", MANY_SHORT_STEPS)
     if isinstance(mission.stick, RecordedStick):
         found += mission.stick.doubt_end(mission.duration)
+    if (rate := mission.limits.yaw_rate) > FAST_TURN:
+        turns = f"{rate / 2 / pi:.3g} turns a second; is it in rad/s?"
+        found.append(f"limits.turn_rad_s = {rate:g} is {turns}")
     late = [loss.time for loss in mission.losses if loss.time and loss.time > mission.duration]
     end = f"and the flight ends at {mission.duration:g} s"
     found += [f"a robot is to be lost at {time:g} s, {end}" for time in late]

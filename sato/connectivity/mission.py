@@ -120,9 +120,6 @@ class Connectivity(Mission):
             InputError: The yaw is given twice, or without positions.
         """
         values: dict[str, Any] = {}
-        if self.potential.of is None:
-            of = "lambda2" if self.estimator == "power_pi" else "spectrum"
-            values["potential"] = self.potential._replace(of=of)
         if isinstance(self.start, Poses):
             if self.start.yaw is not None:
                 if self.yaw is not None:
@@ -139,6 +136,13 @@ class Connectivity(Mission):
             axis = tuple(a / size for a in self.camera.optical_axis)
             values["camera"] = self.camera._replace(optical_axis=axis)
         return values
+
+    def choices(self) -> dict[str, Any]:
+        """Return the potential of what the estimator knows, where it is not given."""
+        if self.potential.of is not None:
+            return {}
+        of = "lambda2" if self.estimator == "power_pi" else "spectrum"
+        return {"potential": self.potential._replace(of=of)}
 
     def check(self) -> None:
         """Refuse fields that contradict each other."""
@@ -158,7 +162,7 @@ class Connectivity(Mission):
         if isinstance(poses, RandomPoses):
             with errors_in("swarm.start"):
                 poses = poses.draw(n, self.camera, rng)
-        posed = replace(self, start=poses)
+        posed = replace(self, start=poses, **self.choices())
         start = posed.initial_position
         if not np.ndim(error):
             error = rng.uniform(-error, error, (n, n))

@@ -119,8 +119,9 @@ class Agent:
         leg = self._own_leg(leg)
         known = estimator.Estimate.none(len(alone), mission.axes)
         committed = {number: commitment} if commitment else {}
-        memory = begin_memory(mission, leg, m)
-        self.memory = FlightMemory(leg, m, memory, {}, committed, known, start)
+        memory, self._code = begin_memory(mission, leg, m), checksum(mission, mission.legs[0])
+        begun = FlightMemory(leg, m, memory, {}, committed, known, start, mission=self._code)
+        self.memory = begun
 
     def step(
         self,
@@ -233,6 +234,8 @@ class Agent:
             raise InputError("memory", f"must be that of an agent, got {format_value(memory)}")
         if (other := len(memory.believed) - 1) != self.number:
             raise InputError("memory", f"is that of agent {other}, and this is agent {self.number}")
+        if memory.mission != self._code:
+            raise InputError("memory", "is that of an agent of another mission")
         self._memory = memory
 
     @property

@@ -34,6 +34,7 @@ class FlightMemory(NamedTuple):
     events: tuple[Event, ...] = ()  # of the decision that it took up last
     seen_count: int = 0  # things that it has seen
     decided_count: int = 0  # and those before its last decision began
+    mission: int = 0  # checksum
     heard: frozenset[int] | None = None  # agents in the last round of an instant; None in the first
 
     @property

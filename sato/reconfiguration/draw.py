@@ -34,6 +34,7 @@ UNKNOWN_STEPS = 50  # over which controls must reach every state, where a leg ha
 
 def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     """Return the mission with all chance drawn and every automatic value resolved."""
+    mission = replace(mission, **mission.choices())
     check_memory(mission.agent_count, lambda n: feasibility.memory_demand(mission, n))
     demand, asked = feasibility.target_demand(mission), mission.legs
     if own_motion.is_own_model(mission.model):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sato.reconfiguration.mission import Reconfiguration
 
 MAX_POINTING_ERROR = pi / 6  # standard deviation beyond which directions mean nothing [rad]
+SHORTEST_ORBIT = 3600.0  # at the surface of a body of 11,000 kg/m³ [s]
 PAIR_TABLES = 30  # numbers that a flight keeps for each pair of agent and target, at most
 
 
@@ -295,8 +296,11 @@ def check_programs(d: int, legs: "Sequence[Leg]") -> None:
 
 
 def list_doubts(mission: "Reconfiguration") -> list[str]:
-    """List legs of a drawn mission so long that a unit is likely wrong, and losses of nobody."""
+    """List numbers of a drawn mission that are likely in another unit, and losses of nobody."""
     doubts, before = list[str](), mission.initial_states[:, : mission.axes]
+    if (period := mission.orbital_period or inf) < SHORTEST_ORBIT:
+        reason = f"takes {period:.3g} s, and any about a planet an hour or more"
+        doubts.append(f"model: an orbit {reason}; is the mean motion in rad/s?")
     for number, leg in enumerate(mission.legs):
         places = leg.targets[:, : mission.axes]
         far = float(np.ptp(np.vstack([before, places]), axis=0).max())

@@ -133,11 +133,6 @@ class Leg(Definition):
         float | None, Ge(1), "with steps auto: ratio of steps to the least; 1.5 if absent"
     ] = None
 
-    def completed(self) -> dict[str, Any]:
-        """Return the choice of targets where it is not given."""
-        is_list = isinstance(self.shape, Points) and not self.shape.keep_order
-        return {} if self.choose else {"choose": "nearest" if is_list else "prefix"}
-
     def check(self) -> None:
         """Refuse contradictions in the choice of targets; losses and joins after the deadline."""
         if self.is_free and getattr(self.shape, "keep_order", False):
@@ -158,7 +153,8 @@ class Leg(Definition):
     @property
     def is_free(self) -> bool:
         """True where agents bid on all targets, and not on the first m."""
-        return self.choose == "nearest"
+        is_list = isinstance(self.shape, Points) and not self.shape.keep_order
+        return self.choose == "nearest" if self.choose else is_list
 
     @cached_property
     def targets(self) -> Float[Array, "targets n"]:

@@ -50,15 +50,18 @@ class Reconfiguration(PlannedLimits):
         if self.agents is None and isinstance(self.start, Points):
             with errors_in("swarm.start"):
                 values["agents"] = len(self.start.listed)
+        return values
+
+    def choices(self) -> dict[str, Any]:
+        """Return periods, and the rules of the auction, where they are not given."""
         tie_break, reset = (0.0, "change") if self.printed else (0.2, "need")
         plain = {"bidder_ids": not self.printed, "tie_break": tie_break, "reset": reset}
-        values |= {name: value for name, value in plain.items() if getattr(self, name) is None}
+        values = {name: value for name, value in plain.items() if getattr(self, name) is None}
         if self.replan_steps is None and self.printed:
             values["replan_steps"] = self.horizon_steps
         elif self.replan_steps is None:
             wrong = self.disturbance, self.thrust_error, self.pointing_error
-            is_exact = models.flies_model(model, chief, self.plant, self.step)
-            is_disturbed = not is_exact or (any(wrong) and not self.is_point_mass)
+            is_disturbed = not self.flies_model or (any(wrong) and not self.is_point_mass)
             values["replan_steps"] = 1 if is_disturbed else self._longest_period()
         if self.auction_steps is None:
             period = values.get("replan_steps", self.replan_steps)

@@ -13,7 +13,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import cache, cached_property, partial
 from typing import (
     Annotated,
@@ -139,10 +139,17 @@ class Definition:
             object.__setattr__(self, field.name, field.check(getattr(self, field.name)))
         for name, value in self.completed().items():
             object.__setattr__(self, name, value)
-        self.check()
+        flown: Any = self
+        if chosen := self.choices():
+            flown = replace(flown, **chosen)
+        flown.check()
 
     def completed(self) -> dict[str, Any]:
         """Return values of fields that follow from the others where they are not given."""
+        return {}
+
+    def choices(self) -> dict[str, Any]:
+        """Return values of fields that stay automatic until the definition is drawn."""
         return {}
 
     def check(self) -> None:
