@@ -4,7 +4,7 @@ import functools
 import os
 from collections import Counter
 from collections.abc import Callable
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any
 
 # Before NumPy is loaded: on two cores, two workers with threads of their own only wait.
@@ -13,9 +13,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 import jaxtyping  # noqa: E402
 
-OFTEN = 100  # calls of one function in one test, after which its shapes are believed
+OFTEN = 30  # calls of one function in one test, after which its shapes are believed
+FEW = 3  # functions that a function has made of one code in one test, with the same effect
 
 _calls: Counter[FunctionType] = Counter()
+_made: Counter[CodeType] = Counter()
 _jaxtyped = jaxtyping.jaxtyped
 
 
@@ -31,6 +33,10 @@ def _at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
             return function  # compiled code has nothing to check
         if function.__module__.startswith("dynamics.door"):
             return function  # checks all others, also in strategies, where beartype may draw none
+        if "<locals>" in function.__qualname__ and isinstance(function, FunctionType):
+            _made[function.__code__] += 1
+            if _made[function.__code__] > FEW:
+                return function  # to compile its checks takes longer than to call it
         if hasattr(vars(function).get("__init__"), "__wrapped__"):
             return function  # a door, which converts what it is given
         checked = _jaxtyped(function, typechecker=typechecker)
@@ -64,6 +70,7 @@ settings.load_profile("steady")
 
 def pytest_runtest_setup() -> None:
     _calls.clear()
+    _made.clear()
 
 
 @pytest.fixture
