@@ -94,9 +94,7 @@ def are_outside(
 
 
 def body_distances(
-    points: Hulls,
-    corners: Float[Array, "bodies corners d"],
-    body: Int[Array, " hulls"],
+    points: Hulls, corners: Float[Array, "bodies corners d"], body: Int[Array, " hulls"]
 ) -> tuple[Float[Array, " hulls"], Float[Array, "hulls d"]]:
     """Return the distance of hulls of points from bodies, hulls of corners, and its vector.
 

@@ -14,13 +14,7 @@ from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.inputs import InputError
-from dynamics.model import (
-    FlownControls,
-    FlownStates,
-    LinearModel,
-    NonlinearModel,
-    StateSamples,
-)
+from dynamics.model import FlownControls, FlownStates, LinearModel, NonlinearModel, StateSamples
 
 RTOL, ATOL = 1e-11, 1e-11  # of a step's matrices, in SI units
 LINEARIZATION_BATCH = 256  # states, so few that they stay in the processor's cache
@@ -185,6 +179,8 @@ def linearize_along(
         ValueError: The step is not positive and finite.
     """
     T, n, m = u.shape[-2], x.shape[-1], u.shape[-1]
+    if x.shape[-2] not in (T, T + 1):
+        raise InputError("x", f"must have {T} or {T + 1} instants for {T} steps, got {x.shape[-2]}")
     size = max(1, LINEARIZATION_BATCH // max(1, T))
     if u.ndim > 2 and len(u) > size:
         parts = [slice(a, a + size) for a in range(0, len(u), size)]

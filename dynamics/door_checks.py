@@ -20,14 +20,7 @@ import numpy as np
 from numpy import ndarray as Array
 from numpy.typing import ArrayLike
 
-from dynamics.inputs import (
-    LARGEST,
-    InputError,
-    check_range,
-    format_value,
-    join_names,
-    read_array,
-)
+from dynamics.inputs import LARGEST, InputError, check_range, format_value, join_names, read_array
 from dynamics.labels import to_plain
 from dynamics.symbols import Symbol, has_symbols
 from dynamics.units import Allow, Unit
@@ -418,10 +411,9 @@ def describe(value: Any) -> str:
         text = f"an array of shape {value.shape}"
         if value.dtype.kind != "f":
             return f"{text} of dtype {value.dtype}"
-        wrong = np.argwhere(~np.isfinite(value))
-        return (
-            f"{text} with {value[tuple(wrong[0])]} at {wrong[0].tolist()}" if len(wrong) else text
-        )
+        for place in np.argwhere(~np.isfinite(value)).tolist():
+            return f"{text} with {value[tuple(place)]} at {place}"
+        return text
     if isinstance(value, np.generic | Array):
         return describe(value.item())
     if isinstance(value, list | tuple) and value:

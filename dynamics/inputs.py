@@ -90,6 +90,12 @@ def check_finite(array: Array) -> None:
         raise InputError("", f"must be finite, got {array[tuple(where)]} at {where}")
 
 
+def check_symmetric(name: str, matrix: Array) -> None:
+    """Refuse matrices, of the edges of graphs, that are not symmetric."""
+    if not np.array_equal(matrix, np.swapaxes(matrix, -1, -2)):
+        raise InputError(name, "must be symmetric: edges have no direction")
+
+
 def check_range(value: Any) -> Any:
     """Refuse numbers that are too large or too small to compute with; return all others.
 

@@ -53,7 +53,7 @@ def within_turns(angle: Any, name: str = "", turns: float = 2.0) -> Any:
         worst = float(np.ravel(angle)[np.abs(np.ravel(angle)).argmax()])
         within = "two turns" if turns == 2 else f"{turns:g} turns"
         meant = f"{worst:.6g} degrees are np.radians({worst:.6g}) = {np.radians(worst):.6g}"
-        raise InputError(name, f"must be in radians, within {within}, got {worst:.6g}; {meant}")
+        raise InputError(name, f"must be within {within}, got {worst:.6g} rad; {meant}")
     return angle
 
 

@@ -76,18 +76,7 @@ def append_rows(
 
 @compiled(nogil=True, error_model="numpy")
 @no_type_check
-def ascend(
-    kinks,
-    slopes,
-    place,
-    nonbasic,
-    basic,
-    tableau,
-    value,
-    price,
-    ray,
-    tolerance,
-):
+def ascend(kinks, slopes, place, nonbasic, basic, tableau, value, price, ray, tolerance):
     """Pivot until all basic variables are in their segments, or the dual is unbounded.
 
     Changes all but kinks and slopes, and writes the ray along which it is unbounded.

@@ -11,6 +11,7 @@ from jaxtyping import Complex, Float
 from numpy import ndarray as Array
 
 from dynamics.doors import MAY_BE_INFINITE, checked
+from dynamics.inputs import InputError
 from problems.desired_formation import DesiredFormation
 from problems.gain_problem import Axes, GainProblem
 
@@ -157,7 +158,13 @@ class GainMatrix:
         return equal(own.points, formation.points) and equal(own.graph, formation.graph)
 
     def save(self, path: str | Path) -> None:
-        """Write an .npz file that includes the formation and the graph."""
+        """Write an .npz file that includes the formation and the graph.
+
+        Raises:
+            InputError: The name has another ending.
+        """
+        if Path(path).suffix != ".npz":
+            raise InputError("path", f"must end in .npz, got {path}")
         formation = self.formation
         np.savez(
             path,
@@ -189,7 +196,8 @@ class GainMatrix:
         except FileNotFoundError as error:
             raise ValueError(f"there is no file {path}") from error
         except READ_ERRORS as error:
-            raise ValueError(f"{path} cannot be read as gains: {error}") from error
+            reason = "it is another kind of file" if "pickle" in str(error) else error
+            raise ValueError(f"{path} cannot be read as gains: {reason}") from error
 
 
 def _residuals(formation: DesiredFormation, axes: Axes, A: Array) -> Residuals:

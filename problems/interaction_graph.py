@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
-from dynamics.inputs import InputError
+from dynamics.inputs import InputError, check_symmetric
 from dynamics.units import Key, Length
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
 
@@ -175,6 +175,7 @@ def algebraic_connectivity(
 
     Weights are at most 1, or True for edges. λ₂ of one agent is infinite.
     """
+    check_symmetric("weight", weight)
     is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
     value, vector = np.linalg.eigh(_pad_laplacian(weight, is_member))
     value, second, third = _select_eigenvalues(value, is_member)

@@ -29,6 +29,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dynamics import DiscreteModel
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from problems.bang_off_bang import is_concave, solve_burns
 from problems.conic import ConicProgram, Infeasible, solve
 from problems.dual_simplex import INFEASIBLE, OPTIMAL, choose_basis, solve_batches
@@ -79,6 +80,8 @@ def solve_minimum_fuel(
     T, count = len(steps), len(displacement)
     if T == 0:
         raise ValueError("a transfer needs at least one step")
+    if len(weight) != T:
+        raise InputError("weight", f"must have an entry for each of {T} steps, got {len(weight)}")
     if steps.A.ndim > 3 or not (steps.is_double_integrator and is_concave(weight)):
         u, is_reachable = _solve_by_simplex(steps, displacement, max_control, weight, batches)
     else:

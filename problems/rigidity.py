@@ -19,6 +19,7 @@ from numpy import ndarray as Array
 from scipy.linalg import null_space
 
 from dynamics.doors import checked
+from dynamics.inputs import check_symmetric
 
 RANK_TOLERANCE = 1e-9  # relative: smaller singular values are zeros with rounding errors
 Dimension = Literal[2, 3]
@@ -85,6 +86,7 @@ def _is_rigid(graph: Array, dimension: int, stresses: Array) -> bool:
 
 def _self_stresses(graph: Array, dimension: int, rng: np.random.Generator) -> Array:
     # Columns span the stresses that are in equilibrium at points in general position.
+    check_symmetric("graph", graph)
     points = rng.normal(size=(len(graph), dimension))
     stresses: Array = null_space(rigidity_matrix(points, graph).T, rcond=RANK_TOLERANCE)
     return stresses

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_array, triu
@@ -95,7 +95,7 @@ class TransferProblem:
     max_speed: Annotated[Bound, Gt(0)] = inf
     fuel_norm: Norm = 1
     control_norm: Norm = "inf"
-    tie_break_rise: float = 0.0
+    tie_break_rise: Annotated[float, Ge(0)] = 0.0
     objective: Objective = "fuel"
     speed_norm: Norm = 2
 
@@ -189,7 +189,7 @@ class TransferProblem:
         return float(compute_energy(trajectory.u, self.model.dt))
 
     def solve_without_limits(
-        self, start: Float[Array, "*many n"], targets: Float[Array, "targets n"]
+        self, start: Float[Array, "*#many n"], targets: Float[Array, "*#many n"]
     ) -> tuple[StateSamples, ControlSamples, Bool[Array, " targets"]]:
         """Compute the trajectories of least energy to some targets, without limits.
 

@@ -11,26 +11,36 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from errno import EEXIST, EISDIR
+from errno import EEXIST, EISDIR, ENOTDIR
 from pathlib import Path
 
+from dynamics.errors import InputError
+
+RECORD = "run.nc", "summary.json"  # files of a run
 PREFIX = ".saving-"  # of folders in which files are written
 
 
 @contextmanager
-def replace_atomically(path: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
+def replace_atomically(
+    path: Path, old: Iterable[Path] = (), is_record: bool = False
+) -> Iterator[Path]:
     """Yield a path to write a file or a folder to, and move it into place if all went well.
 
     Whatever is at the final path is kept until then, and replaced as a whole; a link is replaced
     itself, and what it leads to stays. The folder is made if it is missing. Old files beside it,
     which are listed once all is written, go with what is replaced. An `OSError` names the final
     path where nothing can be written.
+
+    Raises:
+        InputError: The path is that of a run's record or summary, which runs alone replace.
     """
+    if path.name in RECORD and not is_record and path.exists():
+        raise InputError("path", f"{path} is a part of a run; another name would do")
     try:
         final = Path(os.path.realpath(path.parent), path.name)
         if final.exists() and not (final.is_file() or final.is_dir()):
             raise FileExistsError(EEXIST, "is neither a file nor a folder, and stays as it is")
-        final.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(final.parent)
         with open_scratch(final.parent) as place:
             new, former = place / "new", place / "former"
             new.mkdir()
@@ -46,6 +56,13 @@ def replace_atomically(path: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder where it is missing; an `OSError` says that it is a file."""
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(ENOTDIR, "is a file, and the name of a folder would do")
+    folder.mkdir(parents=True, exist_ok=True)
+
+
 @contextmanager
 def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
     """Yield a new folder to write files to, and move all into a folder if all went well.
@@ -56,7 +73,7 @@ def replace_together(folder: Path, old: Iterable[Path] = ()) -> Iterator[Path]:
     folder is made if it is missing; an `OSError` names it where nothing can be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with open_scratch(folder) as place:
             new, former = place / "new", place / "former"
             new.mkdir()

@@ -10,13 +10,16 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import Callback, as_kind, as_shape, is_own
 from dynamics.convex_hulls import body_distances
+from dynamics.inputs import as_array
 from dynamics.units import Length, Unit
-from sato.scenario.definition import Coordinates, Definition, Matrix, Positive
+from sato.scenario.definition import Coordinates, Definition, Matrix, Positive, errors_in
 from sato.scenario.errors import InputError
 
 CIRCLE_CORNERS, SPHERE_CORNERS = 24, 200  # of the polytopes about ellipsoids
 LEAST_THICKNESS = 1e-6  # of the size of a polytope, below which it has no volume
+NEEDED = "{} needs place, corners, nearest and scaled; a subclass of Sphere, say, has them"
 Points = Float[Array, "*k d"]
 Factors = Annotated[tuple[float, ...], Positive]  # of each axis
 
@@ -27,6 +30,14 @@ class Obstacle(Definition):
 
     It is the convex hull of `corners`, about the point `place`, and all within `thickness` of it.
     """
+
+    callbacks: ClassVar = {
+        "nearest": Callback("points", lambda _, given, x: as_shape(x, np.shape(given["points"]))),
+        "distances": Callback(
+            "points", lambda _, given, x: as_shape(x, np.shape(given["points"])[:-1])
+        ),
+        "scaled": Callback("factors", lambda _, given, x: as_kind(x, Obstacle, "an obstacle")),
+    }
 
     velocity: Annotated[Coordinates | None, Unit("m_s"), "constant velocity; at rest if absent"] = (
         None
@@ -41,12 +52,12 @@ class Obstacle(Definition):
     @property
     def place(self) -> Float[Array, " d"]:
         """Its middle at the start of the mission [m]."""
-        raise NotImplementedError
+        raise InputError("", NEEDED.format(type(self).__name__))
 
     @property
     def corners(self) -> Float[Array, "corners d"]:
         """Corners of a polytope that contains it, but for the radius, from its middle [m]."""
-        raise NotImplementedError
+        raise InputError("", NEEDED.format(type(self).__name__))
 
     @property
     def surface(self) -> Float[Array, "points d"]:
@@ -60,7 +71,7 @@ class Obstacle(Definition):
 
     def nearest(self, points: Points) -> Points:
         """Find its points that are nearest to others, at the start; of one inside, itself [m]."""
-        raise NotImplementedError
+        raise InputError("", NEEDED.format(type(self).__name__))
 
     def distances(self, points: Points) -> Float[Array, "*k"]:
         """Compute the distance of points from it at the start, 0 inside [m]."""
@@ -68,7 +79,7 @@ class Obstacle(Definition):
 
     def scaled(self, factors: Factors) -> "Obstacle":
         """Return the same in space that is scaled by a factor along each of its axes."""
-        raise NotImplementedError
+        raise InputError("", NEEDED.format(type(self).__name__))
 
     def _scale_motion(self, factors: tuple[float, ...]) -> dict[str, Any]:
         drift = None if self.velocity is None else _scale(self.velocity, factors)
@@ -100,6 +111,11 @@ class Obstacle(Definition):
         if self.velocity is not None and len(self.velocity) != self.axes:
             reason = f"has {len(self.velocity)} entries, and the obstacle {self.axes} coordinates"
             raise InputError("velocity_m_s", reason)
+        if is_own(kind := type(self)):
+            if (kind.place_at, kind.drift) != (Obstacle.place_at, Obstacle.drift):
+                raise InputError("", f"{kind.__name__} moves by its velocity_m_s alone")
+            with errors_in(f"{kind.__name__}.corners"):
+                as_array(self.corners, 2)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

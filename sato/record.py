@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from dynamics.doors import check_methods, checked
-from sato.atomic import remove_leftovers, replace_atomically
+from sato.atomic import RECORD, remove_leftovers, replace_atomically
 from sato.check.common import EventLog
 from sato.check.report import finite_or_none
 from sato.files import check_no_link, read_text
@@ -32,7 +32,7 @@ from sato.run_data import RunData, Variable, json_default
 from sato.scenario.errors import InputError
 from sato.systems import load_system
 
-RUN_FILE, SUMMARY_FILE = "run.nc", "summary.json"
+RUN_FILE, SUMMARY_FILE = RECORD
 MAX_FRAMES = 300  # of a film, unless more are asked for
 DRAWN_FORMATS = ("png", "pdf", "mp4", "gif", "html")
 READS = 5  # until a run file and a summary are of one run
@@ -107,9 +107,9 @@ def save(data: RunData, summary: Mapping[str, Any], folder: Path) -> None:
     plain |= {"digest": data.attrs["digest"]} if "digest" in data.attrs else {}
     text = json.dumps(finite_or_none(plain), indent=2, allow_nan=False) + "\n"
     others = _iterate_others(folder, data.attrs.get("digest", "without a digest"))
-    with replace_atomically(folder / RUN_FILE, others) as file:
+    with replace_atomically(folder / RUN_FILE, others, is_record=True) as file:
         file.write_bytes(data.to_netcdf())
-    with replace_atomically(folder / SUMMARY_FILE) as file:
+    with replace_atomically(folder / SUMMARY_FILE, is_record=True) as file:
         file.write_text(text, encoding="utf-8")
 
 

@@ -4,7 +4,7 @@ import re
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,7 +34,7 @@ from sato.scenario.definition import Seed
 from sato.scenario.errors import InputError, ScenarioError, join_names
 from sato.scenario.file import NO_MISSION, Mission, describe_own, from_dict, parse_embedded, read
 from sato.scenario.origin import Origin
-from sato.scenario.overrides import Setting, list_settings
+from sato.scenario.overrides import Setting, Settings, list_settings
 from sato.summary import summary_rows
 from sato.systems import load_system
 from sato.terminal import as_html
@@ -223,7 +223,7 @@ def run(
     scenario: Scenario,
     *,
     seed: Seed = 0,
-    overrides: Iterable[Setting] | Mapping[str, Any] = (),
+    overrides: Settings = (),
     progress: bool | FrameCallback | None = None,
     strict: bool = False,
     processes: Literal["lock-step", "free-running"] | None = None,
@@ -294,9 +294,7 @@ def run(
 
 
 @checked
-def simulate(
-    scenario: Scenario, seed: Seed = 0, overrides: Iterable[Setting] | Mapping[str, Any] = ()
-) -> Iterator[Frame]:
+def simulate(scenario: Scenario, seed: Seed = 0, overrides: Settings = ()) -> Iterator[Frame]:
     """Fly a mission and yield its frames one by one.
 
     Args:

@@ -20,6 +20,7 @@ import tempfile
 import traceback
 import warnings
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, NamedTuple
@@ -115,9 +116,11 @@ class Trial:
         until = monotonic() + LEFT_TIME
         while left := [p for p in psutil.process_iter() if _is_of(p, self.pid)]:
             if monotonic() > until:
+                told = [f"process {p.pid} still runs: {_words(p)}" for p in left]
                 for process in left:
-                    process.kill()
-                return [f"process {p.pid} still runs: {p.cmdline()}" for p in left]
+                    with suppress(psutil.Error):  # that has ended meanwhile
+                        process.kill()
+                return told
             sleep(0.02)
         return []
 
@@ -127,6 +130,12 @@ def _is_of(process: psutil.Process, session: int) -> bool:
         return os.getsid(process.pid) == session and process.status() != psutil.STATUS_ZOMBIE
     except (OSError, psutil.Error):
         return False
+
+
+def _words(process: psutil.Process) -> list[str]:
+    with suppress(psutil.Error):
+        return process.cmdline()
+    return []
 
 
 def _become(home: Path, words: str, size: int | None) -> None:

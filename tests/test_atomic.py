@@ -30,12 +30,12 @@ with replace_atomically(Path(sys.argv[1])) as new:
 
 @pytest.mark.parametrize("is_there", [True, False])
 def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path, is_there):
-    path = tmp_path / "run.nc"
+    path = tmp_path / "table.nc"
     if is_there:
         path.write_text("earlier")
     done = subprocess.run([sys.executable, "-c", WRITE_AND_DIE, path])
     assert done.returncode == -9
-    assert [p.read_text() for p in tmp_path.glob("run.nc")] == ["earlier"] * is_there
+    assert [p.read_text() for p in tmp_path.glob("table.nc")] == ["earlier"] * is_there
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])

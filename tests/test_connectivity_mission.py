@@ -266,6 +266,10 @@ def test_infeasible_missions_are_refused_with_a_value_that_would_do(changes, mes
     assert re.search(message, text), text
 
 
+def test_a_flight_takes_a_step_or_more():
+    assert "run.duration_s: 0.001 is less than a step; 0.0" in refused("duration_s=0.001")
+
+
 def test_fast_leader_and_slow_power_iteration_are_doubted():
     (fast,) = drawn("stick.speed_m_s=4").warnings()
     assert re.search(r"asks for 4 m/s, and limits.speed_m_s = 3 .* 2 m/s", fast)

@@ -297,9 +297,19 @@ def test_a_list_of_pairs_is_the_graph_of_the_matrix():
     points, pairs = 3.0 * np.eye(3), [(0, 1), (1, 2)]
     matrix = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
     assert FormationLeg(points, pairs) == FormationLeg(points, matrix)
+    for graph in (np.array(pairs), tuple(pairs), matrix.tolist()):
+        assert FormationLeg(points, graph) == FormationLeg(points, matrix)
+    with pytest.raises(InputError, match="must have rows of one length"):
+        FormationLeg(points, [[0, 1], [2]])
 
 
 def test_a_push_that_begins_after_every_flight_is_doubted():
-    pushes = f"{push(start=50, end=60)}, {push(start=70, end=80)}"
+    slow = {"velocity": "[0.3, 0, 0]"}
+    pushes = f"{push(start=50, end=60, **slow)}, {push(start=70, end=80, **slow)}"
     (doubt,) = drawn("limit_s=60", f"push=[{pushes}]").warnings()
     assert doubt == "a push is to begin at 70 s, and the flight ends at 60 s at the latest"
+
+
+def test_a_push_beyond_the_limit_of_speed_is_doubted():
+    (doubt,) = drawn(f"push=[{push(velocity='[100, 0, 0]')}]").warnings()
+    assert "a push asks for 100 m/s, and control.max_speed_m_s = " in doubt

@@ -101,13 +101,22 @@ def test_a_share_that_is_nobody_is_warned_of():
     assert warning == "leg.0.lose.share: 0.1 of 3 agents is nobody"
 
 
-def test_an_agent_that_is_lost_before_it_joins_is_refused():
+def test_an_agent_that_is_lost_before_it_has_joined_is_refused():
     join = Join(1, row(1, 6.0), at_step=4)
-    for at_step in (4, 7):
+    for at_step in (5, 7):
         leg = Leg(
             row(4, 3.0), 20, joins=[join], losses=[Loss("agents", agents=(3,), at_step=at_step)]
         )
         assert make_mission(row(3, 0.0), leg, **LIMITS)
-    early = replace(leg, losses=[Loss("agents", agents=(3,), at_step=3)])
-    with pytest.raises(InputError, match=r"leg\.0\.lose\.at_step: 3 is before agent 3 joins; 4 "):
+    early = replace(leg, losses=[Loss("agents", agents=(3,), at_step=4)])
+    twice = [Loss("agents", agents=(0,), at_step=step) for step in (1, 5)]
+    leg = Leg(row(3, 3.0), 20, losses=twice, recount=True, choose="prefix")
+    never, again = make_mission(row(3, 0.0), leg, **LIMITS).warnings()
+    assert never == "leg.0.recount: there is no leg before, whose bids would count"
+    assert again == "leg.0.lose.agents: agent 0 is lost before"
+    with pytest.raises(InputError, match=r"share: has no effect with kind = .agents."):
+        Loss("agents", agents=(0,), share=0.5)
+    with pytest.raises(
+        InputError, match=r"leg\.0\.lose\.at_step: 4 is not after agent 3 joins; 5 "
+    ):
         make_mission(row(3, 0.0), early, **LIMITS)

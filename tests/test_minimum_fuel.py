@@ -66,6 +66,13 @@ def test_solutions_arrive_within_limits_at_the_fuel_of_their_controls(rng, steps
     assert np.isnan(result.u[~found]).all() and np.isposinf(result.fuel[~found]).all()
 
 
+@pytest.mark.parametrize("count", [3, 5, 11])
+def test_each_step_has_a_weight(count):
+    steps = discretize_zoh(DoubleIntegrator(2), 1.0, 10)
+    with pytest.raises(ValueError, match="weight: must have an entry for each of 10 steps"):
+        solve_minimum_fuel(steps, np.ones((2, 4)), 0.1, np.ones(count))
+
+
 def test_dynamics_of_each_program_give_the_same_as_program_by_program(rng):
     own = [discretize_zoh(ClohessyWiltshire(n), 60.0, 12) for n in (1.0e-3, 1.1e-3, 1.2e-3)]
     steps = DiscreteModel(*(np.stack([getattr(one, k) for one in own]) for k in "ABz"), 60.0)

@@ -125,6 +125,28 @@ def test_route_leads_around_and_is_hardly_longer_than_the_shortest():
     assert find_route(np.zeros(2), np.array([9.0, 0.0]), closed) is None
 
 
+class Late(sato.Sphere):
+    """Moves as its speed does not say."""
+
+    def place_at(self, time):
+        return np.array([2.0, time])
+
+
+class Hollow(sato.Sphere):
+    """Has corners that are no numbers."""
+
+    @property
+    def corners(self):
+        return np.full((1, 2), np.nan)
+
+
+class Flat(sato.Sphere):
+    """Has one distance from all points."""
+
+    def distances(self, points):
+        return 0.0
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -137,6 +159,10 @@ def test_route_leads_around_and_is_hardly_longer_than_the_shortest():
         (lambda: sato.Box((0, 0), (1, 0)), "must be less than high_m"),
         (lambda: sato.Sphere((0, 0), 1.0, velocity=(1, 0, 0)), "has 3 entries"),
         (lambda: sato.Sphere((0,), 1.0), "space has 2 or 3"),
+        (lambda: Late((0, 0), 1.0), "Late moves by its velocity_m_s alone"),
+        (lambda: Hollow((0, 0), 1.0), "Hollow.corners: must be finite"),
+        (lambda: sato.obstacles.Obstacle(), "needs place, corners, nearest and scaled"),
+        (lambda: Flat((0, 0), 1.0).distances(np.zeros((3, 2))), "must be an array of shape"),
     ],
 )
 def test_what_is_no_convex_body_is_refused(make, message):

@@ -202,6 +202,17 @@ def test_failed_save_leaves_the_old_run(run, rng, tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
+def test_only_runs_replace_the_files_of_a_run(run, tmp_path):
+    run.save(tmp_path)
+    with pytest.raises(sato.InputError, match=r"run.nc is a part of a run; another name would do"):
+        run.export(tmp_path / "run.nc", "csv")
+    with pytest.raises(sato.InputError, match=r"summary.json is a part of a run"):
+        run.player(tmp_path / "summary.json")
+    assert sato.load(tmp_path).verdict
+    with pytest.raises(NotADirectoryError, match="is a file, and the name of a folder would do"):
+        run.save(tmp_path / "run.nc")
+
+
 @pytest.mark.parametrize("room", [0, 100, 10_000])
 def test_full_disk_leaves_the_old_run_and_names_the_file(run, rng, tmp_path, room):
     (tmp_path / "old").mkdir()

@@ -54,7 +54,7 @@ def test_numbers_out_of_range_are_refused_by_key(name, setting, message):
     ("kind", "fields", "message"),
     [
         (sato.Loss, {"kind": "agents", "agents": np.array(True)}, "agents: must be a list"),
-        (sato.FormationLeg, {"formation": "Square", "graph": np.array(3)}, "symmetric matrix"),
+        (sato.FormationLeg, {"formation": "Square", "graph": np.array(3)}, "list of pairs"),
         (sato.Leg, {"shape": sato.Ring(spacing=1.0), "steps": np.array(3)}, "steps: must be an"),
     ],
 )

@@ -317,11 +317,7 @@ def init_state(
 
 
 def run_kernel(
-    state: VsdaaState,
-    epsilon: float,
-    bidder_ids: bool,
-    dropped: list[BidLog],
-    stride: int = 2**62,
+    state: VsdaaState, epsilon: float, bidder_ids: bool, dropped: list[BidLog], stride: int = 2**62
 ) -> Iterator[None]:
     """Run all rounds in which something happens, pausing after every `stride` of them.
 

@@ -63,10 +63,7 @@ class Trial(NamedTuple):
         return str(self.source.get("name", ""))
 
     def build_mission(self) -> Mission:
-        """Build the mission that is flown; refuse parameters that it cannot have, and other chance.
-
-        A function that draws it is called twice: chance is that of its generator alone.
-        """
+        """Build the mission; refuse wrong parameters, and chance but for that of the generator."""
         mission = self._build()
         if isinstance(self.source, str) and self._build() != mission:
             name = self.source

@@ -13,12 +13,7 @@ from numpy import ndarray as Array
 
 from dynamics.doors import checked
 from dynamics.vehicle import rotate_by_yaw, vector_lengths
-from problems.interaction_graph import (
-    Numbers,
-    algebraic_connectivity,
-    edge_weights,
-    spectral_slope,
-)
+from problems.interaction_graph import Numbers, algebraic_connectivity, edge_weights, spectral_slope
 from sato.connectivity.mission import Connectivity
 from sato.connectivity.power_iteration import iterate_power, lambda2_from_power
 from sato.connectivity.settings import MAX_ROW_AGE, Potential, Repulsion

@@ -59,6 +59,9 @@ def memory_demand(mission: "Connectivity", agents: int) -> float:
 def check_sampling(mission: "Connectivity") -> None:
     """Refuse gains and messages that do not suit the control step."""
     tracking, link, step = mission.tracking, mission.link, mission.step
+    if round(mission.duration / step) < 1:
+        reason = f"{mission.duration:g} is less than a step; {step:g} or more would do"
+        raise InputError("run.duration_s", reason)
     # In discrete time a factor 1 − gain × step of an error is left after each step.
     gains = {"k2 + closure": tracking.k2 + tracking.closure_gain, "k3": tracking.k3}
     for terms, gain in gains.items():

@@ -110,7 +110,7 @@ class Connectivity(Mission):
     random_obstacles: Annotated[RandomSpheres, Key("obstacles"), "random ones"] = RandomSpheres()
     obstacles: Annotated[tuple[Sphere | Box | Plane, ...], Key("obstacle"), "obstacles"] = ()
     losses: Annotated[tuple[AgentLoss, ...], Key("death"), "robots that are lost"] = ()
-    duration: Annotated[Time, In("run"), Positive, "duration"] = 150.0
+    duration: Annotated[Time, In("run"), Positive, "duration, to the nearest step"] = 150.0
     step: Annotated[Time, In("run"), Positive, "control step"] = 0.02
 
     def completed(self) -> dict[str, Any]:

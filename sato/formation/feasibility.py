@@ -3,6 +3,8 @@
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from sato.scenario.errors import InputError, round_up
 from sato.scenario.ranges import MANY_SHORT_STEPS, doubt_long
 from sato.shapes import Points
@@ -35,11 +37,17 @@ def memory_demand(mission: "Formation", agents: int) -> float:
 def duration_doubts(mission: "Formation") -> list[str]:
     """List doubts about a flight that may take far more steps than others, and late pushes."""
     longest, step = mission.supervision.time_limit, mission.step
-    reason = f"up to its limit of {longest:g} s; are control.step_s and that limit in s?"
+    hovering = mission.supervision.hover_time * (len(mission.legs) + 1)
+    reason = f"up to its limit of {longest:g} s, hovering left out; are these times in s?"
     late = [push.start for push in mission.operator_commands if push.start >= longest]
     end = f"and the flight ends at {longest:g} s at the latest"
     found = [f"a push is to begin at {start:g} s, {end}" for start in late]
-    return found + doubt_long("a flight", longest / step, step, reason, MANY_SHORT_STEPS)
+    speeds = (float(np.linalg.norm(push.velocity)) for push in mission.operator_commands)
+    if (fastest := max(speeds, default=0.0)) > mission.max_speed:
+        limit = f"control.max_speed_m_s = {mission.max_speed:g} is all that it is given"
+        found.append(f"a push asks for {fastest:g} m/s, and {limit}")
+    steps = (longest + hovering) / step
+    return found + doubt_long("a flight", steps, step, reason, MANY_SHORT_STEPS)
 
 
 def check_clearance(mission: "Formation") -> None:

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from numpy.random import Generator
 from pydantic import BeforeValidator
 
+from dynamics.inputs import read_array
 from dynamics.units import Length, Unit
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
@@ -89,7 +90,7 @@ class GraphFile(Definition):
 
 
 def _as_pairs(value: Any) -> Array:
-    pairs = np.asarray(value)
+    pairs = read_array(value)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or pairs.min() < 0:
         raise InputError("", "must be a list of pairs of points, counted from 0")
     pairs = pairs.astype(int)
@@ -133,14 +134,15 @@ def _as_formation(value: Any) -> Any:
 def _as_graph(value: Any) -> Any:
     if isinstance(value, str):
         return NamedGraph(value)  # type: ignore[arg-type]
-    if isinstance(value, list):
-        return EdgeList(value)  # type: ignore[arg-type]
-    if not isinstance(value, Array):
+    if not isinstance(value, list | tuple | Array):
         return value
-    is_matrix = value.dtype == bool and value.ndim == 2 and value.shape[0] == value.shape[1]
-    if not is_matrix or (value != value.T).any() or value.trace():
+    array = read_array(value, "biu")
+    if array.dtype != bool:
+        return EdgeList(array)
+    is_square = array.ndim == 2 and array.shape[0] == array.shape[1]
+    if not is_square or (array != array.T).any() or array.trace():
         raise InputError("", "must be a symmetric matrix of True and False, without loops")
-    return EdgeList.from_graph(value)
+    return EdgeList.from_graph(array)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

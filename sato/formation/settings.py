@@ -87,7 +87,9 @@ class SupervisorSettings(NamedTuple):
     gridlock_share: Annotated[float, Positive, Le(1), "share of time blocked in a gridlock"] = 0.95
     gridlock_timeout: Annotated[Time, Key("patience"), Positive, "longest gridlock"] = 90.0
     hover_time: Annotated[Time, Key("hover"), NotNegative, "hovering before and after legs"] = 5.0
-    time_limit: Annotated[Time, Key("limit"), Positive, "longest flight, then given up"] = 600.0
+    time_limit: Annotated[
+        Time, Key("limit"), Positive, "longest flight, without hovering, then given up"
+    ] = 600.0
     shape_tolerance: Annotated[Length, Key("shape"), Positive, "error of a formed shape"] = 0.1
 
 

@@ -4,9 +4,11 @@ When the swarm has converged and when it is gridlocked is decided as by the base
 [Lusk2020]'s trials. No agent receives anything from it.
 """
 
+import warnings
 from collections import deque
 from collections.abc import Iterator
 from enum import Enum
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -137,6 +139,13 @@ class FlightCourse:
             if self.phase is not Phase.COMPLETED:
                 return
             yield from self._hover()
+        step = self.mission.frame_period
+        for push in self.mission.operator_commands:
+            first = ceil(push.start / step - TIME_TOLERANCE) * step
+            if first >= min(push.end, self.time):
+                at = f"a push from {push.start:g} to {push.end:g} s was never given"
+                reason = f"at {self.time:.4g} s the flight ended, with steps of {step:g} s"
+                warnings.warn(f"{at}: {reason}", stacklevel=2)
 
     def note(self, kind: str, agents: Any, **details: Any) -> None:
         """Note an event of the next instant."""

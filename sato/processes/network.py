@@ -16,6 +16,7 @@ from sato.scenario.errors import InputError
 INSTALL = "pip install 'sato-swarm[network]'"
 LEASE = 24 * 3_600_000  # time for which a paused process is waited for [ms]
 START_TIME = 60.0  # within which all processes are there [s]
+CONNECT_TIME = 15.0  # after which a vehicle ends that finds no world, as where it was killed [s]
 ACCEPT_TIME = 2.0  # within which those who connect say who they are [s]
 MAX_WAITING = 4 * MAX_SIZE  # of the messages of each sender that are not yet read [byte]
 PREFIX = "sato/to"  # of what is sent, before the number of the receiver
@@ -66,7 +67,7 @@ class Connection:
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "listen/endpoints" if is_world else "connect/endpoints": [place],
-            "connect/timeout_ms": int(START_TIME * 500),
+            "connect/timeout_ms": int(CONNECT_TIME * 1000),
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 500},
             "transport/unicast/accept_timeout": int(ACCEPT_TIME * 1000),
             "transport/link/tx/lease": LEASE,

@@ -37,6 +37,9 @@ def check(mission: "Reconfiguration") -> None:
 
 def _check_periods(mission: "Reconfiguration") -> None:
     horizon, replan, auction = mission.horizon_steps, mission.replan_steps, mission.auction_steps
+    if mission.step > (period := mission.orbital_period or inf):
+        reason = f"{mission.step:g} is longer than an orbit, which takes {period:.4g} s"
+        raise InputError("plan.step_s", f"{reason}; a hundredth of it is usual")
     if mission.epsilon == 0:
         raise InputError("plan.epsilon", 'must be positive, or "auto", got 0')
     if replan > horizon:
@@ -187,8 +190,11 @@ def _check_detectable(mission: "Reconfiguration") -> None:
         cures.append(f"swarm.comm_radius_m = {round_up(needed)}")
     if room > 0 and not isinstance(mission.max_speed, tuple) and mission.speed_norm == 2:
         slower = room / (2 * mission.horizon_steps * mission.step)
-        cures.append(f"model.max_speed_m_s = {round_down(slower)}")
-    if closing < inf and (shorter := floor(room / (closing * mission.step) + 1e-9)) > 0:
+        begun = getattr(mission.start, "velocities", None)
+        if begun is None or np.linalg.norm(begun, axis=1).max() <= slower:
+            cures.append(f"model.max_speed_m_s = {round_down(slower)}")
+    shorter = floor(room / (closing * mission.step) + 1e-9)
+    if closing < inf and shorter >= mission.auction_steps:
         cures.append(f"plan.horizon_steps = {shorter}")
     cures = cures or ["a larger comm_radius_m with a model.max_speed_m_s"]
     limit = f"{needed:.4g} m" if closing < inf else "infinite, for there is no model.max_speed_m_s"
@@ -232,8 +238,8 @@ def _check_legs(mission: "Reconfiguration") -> None:
             raise InputError(f"leg.{number}.lose.agents", reason)
         joined = {i: step for agents, step in mission.joining(number) for i in agents}
         for i, at in ((i, loss.at_step) for loss in leg.losses for i in loss.agents):
-            if at < joined.get(i, 0):
-                reason = f"{at} is before agent {i} joins; {joined[i]} or more would do"
+            if at <= joined.get(i, -1):
+                reason = f"{at} is not after agent {i} joins; {joined[i] + 1} or more would do"
                 raise InputError(f"leg.{number}.lose.at_step", reason)
         if mission.assignment == "given":
             _check_given(f"leg.{number}", leg, enough)
@@ -298,6 +304,7 @@ def check_programs(d: int, legs: "Sequence[Leg]") -> None:
 def list_doubts(mission: "Reconfiguration") -> list[str]:
     """List numbers of a drawn mission that are likely in another unit, and losses of nobody."""
     doubts, before = list[str](), mission.initial_states[:, : mission.axes]
+    gone = set[int]()
     if (period := mission.orbital_period or inf) < SHORTEST_ORBIT:
         reason = f"takes {period:.3g} s, and any about a planet an hour or more"
         doubts.append(f"model: an orbit {reason}; is the mean motion in rad/s?")
@@ -309,6 +316,11 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
         reason += "; are the positions in m, and the limits in m/s and m/s²?"
         doubts += doubt_long(f"leg.{number}", leg.steps, mission.step, reason)
         before, most = places, len(mission.initial_states)
+        if leg.recount and not number:
+            doubts.append("leg.0.recount: there is no leg before, whose bids would count")
+        for i in (i for loss in leg.losses for i in loss.agents):
+            doubts += [f"leg.{number}.lose.agents: agent {i} is lost before"] if i in gone else []
+            gone.add(i)
         for share in (loss.share for loss in leg.losses if loss.share):
             if round(share * most) == 0:
                 doubts.append(f"leg.{number}.lose.share: {share:g} of {most} agents is nobody")

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from annotated_types import Lt
+from annotated_types import Le, Lt
 from pydantic import BeforeValidator
 from pydantic import Field as Constraint
 
+from dynamics.orbit import MAX_TIME
 from dynamics.plant import Plant
 from dynamics.units import Acceleration, Angle, Key, Length, Speed, Time, Unit
 from sato.network.link import Link
@@ -132,7 +133,7 @@ class ReconfigurationFields(models.Motion, Mission):
 
     plant: Annotated[PlantSettings | Plant, In(""), "motion that is flown"] = PlantSettings()
 
-    step: Annotated[Time, PLAN, Positive, "control step Δt"]
+    step: Annotated[Time, PLAN, Positive, Le(MAX_TIME), "control step Δt"]
     horizon_steps: Annotated[Amount, PLAN, "steps that avoidance looks ahead, T_H"] = 4
     foresight_steps: Annotated[
         Count | None,
@@ -142,9 +143,7 @@ class ReconfigurationFields(models.Motion, Mission):
     orders: Annotated[Amount, PLAN, "orders of priority that each plan tries"] = 1
     bargains: Annotated[Count, PLAN, "sweeps of negotiation in pairs; with orders above 1"] = 0
     replan_steps: Annotated[
-        Amount,
-        PLAN,
-        "replanning period; if absent, up to half the horizon",
+        Amount, PLAN, "replanning period; if absent, up to half the horizon"
     ] = LATER
     compute: Annotated[
         Time, PLAN, NotNegative, "time that an agent computes in a decision, over a network"

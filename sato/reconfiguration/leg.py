@@ -61,10 +61,13 @@ class Loss(Definition):
     ] = "vanish"
 
     def check(self) -> None:
-        """Refuse a loss of no agents."""
-        needed = "agents" if self.kind == "agents" else "share"
+        """Refuse a loss of no agents, and one of agents that are named and drawn."""
+        needed, other = ("agents", "share") if self.kind == "agents" else ("share", "agents")
         if not getattr(self, needed):
             raise InputError(needed, "is missing, and has no default")
+        if getattr(self, other):
+            reason = f'has no effect with kind = "{self.kind}"'
+            raise InputError(other, f"{reason}; leave it out, or {needed} and choose another kind")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

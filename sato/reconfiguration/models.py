@@ -199,17 +199,20 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         others = join_names(f'"{name}"' for name in MODELS)
         none = '"double_integrator" has no orbit, and this mission has a [chief]'
         raise InputError("model.kind", f"{none}; {others} would do")
-    if chief is not None and isinstance(model, ClohessyWiltshire | SchweighartSedwick):
-        period = chief.orbit.period
-        if abs(model.n * period / (2 * pi) - 1) > OTHER_N:
-            reason = f"has a period of {2 * pi / model.n:.5g} s, and the chief {period:.5g} s"
-            raise InputError("model", f"{reason}; from_orbit of the chief's orbit would do")
     for name, part in (("model", model), ("plant", plant)):
-        about = getattr(part, "chief_orbit", None)
-        mu = getattr(getattr(part, "orbit", part) if about is None else about, "mu", None)
-        if chief is not None and mu not in (None, chief.orbit.mu):
-            reason = f"has mu = {mu:.6g} m³/s², and the chief {chief.orbit.mu:.6g}"
+        if chief is None:
+            break
+        about, orbit = getattr(part, "chief_orbit", None), chief.orbit
+        about = getattr(part, "orbit", part) if about is None else about
+        period, mu = getattr(about, "period", None), getattr(about, "mu", None)
+        if isinstance(part, ClohessyWiltshire | SchweighartSedwick):
+            period = 2 * pi / part.n
+        if mu not in (None, orbit.mu):
+            reason = f"has mu = {mu:.6g} m³/s², and the chief {orbit.mu:.6g}"
             raise InputError(name, f"{reason}; one orbit for both would do")
+        if period is not None and abs(orbit.period / period - 1) > OTHER_N:
+            reason = f"has a period of {period:.5g} s, and the chief {orbit.period:.5g} s"
+            raise InputError(name, f"{reason}; one orbit for both, or a mission without the chief")
     if isinstance(plant, Plant):
         return
     if chief is None and (plant.kind == "inertial" or plant.drag):

@@ -270,10 +270,7 @@ def choose_in_orbit(
 
 
 def _count_holding(
-    graph: CommunicationGraph,
-    agents: Sequence[int] | Int[Array, " some"],
-    steps: int,
-    axes: int,
+    graph: CommunicationGraph, agents: Sequence[int] | Int[Array, " some"], steps: int, axes: int
 ) -> Load:
     """Count the load of what agents have committed to, of so many steps, told once."""
     rounds = np.full(len(graph.alive), HOLDING_ROUNDS)

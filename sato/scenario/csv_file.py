@@ -27,8 +27,13 @@ THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal
 NAME = re.compile(r"[^\W\d]\w*(\s*[\[(/].*)?")  # one word, perhaps with a unit
 WORDS = re.compile(r"[\s,;|]+")
 OTHER_UNIT = re.compile(  # than those of SI, in a comment
-    r"\b([kcdmnµμ]m|(kilo|centi|deci|milli|micro)met(er|re)s?|feet|ft|inch(es)?|yards?|miles?|knots?"
-    r"|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b"
+    r"\b([hkcdmnµμ]m|(kilo|centi|deci|milli|micro)met(er|re)s?|feet|ft|inch(es)?|yards?|miles?|knots?"
+    r"|thousands|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b",
+    re.IGNORECASE,
+)
+OTHER_FRAME = re.compile(  # than x, y and z, in a comment
+    r"\b(ned|enu|ecef|north|east|down|lat(itude)?|lon(gitude)?|polar|spherical|pixels?)\b",
+    re.IGNORECASE,
 )
 LABEL = re.compile(r"^(columns?|axes|fields?|header|names?|order|format)\s*[:=]\s*", re.IGNORECASE)
 
@@ -77,7 +82,10 @@ def _refuse_doubtful(path: Path, rows: list[list[str]], names: list[str]) -> Non
         cure = f"name the columns, {header}, or write {'.0,'.join(first)}.0"
         raise ValueError(f"{path}: {','.join(first)} may be names or a point; {cure}")
     are_distinct = len({tuple(cells[1:]) for cells in rows}) == len(rows)  # as points x,y
-    if header == "x,y,z" and are_distinct and (counts := [cells[0] for cells in rows]) in numbered:
+    # In the format of `numpy.savetxt`, 0 is 0.000000000000000000e+00.
+    counts = [re.sub(r"\.0+e", "e", cells[0]) for cells in rows]
+    counts = [f"{float(cell):g}" if re.fullmatch(r"\d+e[+-]\d+", cell) else cell for cell in counts]
+    if header == "x,y,z" and are_distinct and counts in numbered:
         begin, cure = ", ".join([*counts, "1"][:2]), "name the columns, id,x,y or x,y,z"
         reason = f"the first column, {begin}, …, may number the rows or be x"
         raise ValueError(f"{path}: {reason}; {cure}")
@@ -128,6 +136,9 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
                 raise InputError("", f'two headers disagree; drop the comment "{note}"')
             names = names or noted
             unit = OTHER_UNIT.search(note)
+            if "x" in units and not names and (frame := OTHER_FRAME.search(note)):
+                cure = "a header with x, y and z says which column is which"
+                raise InputError("", f'a comment speaks of "{frame[0]}", and {cure}')
             if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
                 cure = (
                     "numbers without one are in SI units; name columns as in x_mm, x_m or vx_km_h"

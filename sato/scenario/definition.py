@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass, replace
 from functools import cache, cached_property, partial
+from os import PathLike, fspath
 from typing import (
     Annotated,
     Any,
@@ -241,6 +242,8 @@ class Field:
         value = (to_plain if self.unit or is_list else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, PathLike) and self.name == "file":
+            value = fspath(value)
         is_list = type(value) is list or (type(value) is Array and value.ndim > 0)
         if is_list and get_origin(self.hint) is tuple:
             value = tuple(value if isinstance(value, list) else value.tolist())

@@ -16,7 +16,7 @@ from dynamics.doors import checked
 from sato import files
 from sato.scenario.definition import Definition, In, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value, join_names
-from sato.scenario.overrides import Setting, list_settings, override, write_value
+from sato.scenario.overrides import Setting, Settings, list_settings, override, write_value
 from sato.scenario.table import OWN, find_own, name_class, read_table, write_table
 from sato.systems import definition_of
 
@@ -99,7 +99,7 @@ def scenarios() -> dict[str, str]:
 
 
 @checked
-def read(name: str | Path, overrides: Iterable[Setting] = ()) -> Mission:
+def read(name: str | Path, overrides: Settings = ()) -> Mission:
     """Read a built-in scenario by its name, or a file.
 
     Args:
@@ -146,11 +146,7 @@ def read_text(file: Path) -> str:
 
 @checked
 def parse(
-    text: str,
-    overrides: Iterable[Setting] = (),
-    *,
-    source: str = "scenario",
-    folder: Path | None = None,
+    text: str, overrides: Settings = (), *, source: str = "scenario", folder: Path | None = None
 ) -> Mission:
     """Read a scenario from its text.
 
@@ -205,7 +201,7 @@ def load_toml(text: str, source: str) -> dict[str, Any]:
 
 @checked
 def from_dict(
-    data: dict[str, Any], overrides: Iterable[Setting] = (), *, folder: Path | None = None
+    data: dict[str, Any], overrides: Settings = (), *, folder: Path | None = None
 ) -> Mission:
     """Build a mission from a dict with the keys of a scenario file.
 

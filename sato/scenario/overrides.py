@@ -40,9 +40,10 @@ class Spot(NamedTuple):
 
 
 Setting = str | tuple[str, Any]
+Settings = Iterable[Setting] | Mapping[str, Any]
 
 
-def list_settings(overrides: Iterable[Setting] | Mapping[str, Any]) -> tuple[Setting, ...]:
+def list_settings(overrides: Settings) -> tuple[Setting, ...]:
     """List overrides, texts or pairs of key and value, or a dict of these."""
     return tuple(overrides.items() if isinstance(overrides, Mapping) else overrides)
 
@@ -52,6 +53,8 @@ def write_value(value: Any) -> str:
     if isinstance(value, dict):
         rows = ", ".join(f"{json.dumps(key)} = {write_value(part)}" for key, part in value.items())
         return f"{{{rows}}}"
+    if value is None:  # of a key that is taken away
+        return "none"
     plain = value.tolist() if type(value) is Array or isinstance(value, np.generic) else value
     if isinstance(plain, list | tuple):
         return f"[{', '.join(map(write_value, plain))}]"

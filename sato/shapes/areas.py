@@ -180,7 +180,7 @@ def _find_font_file(font: str, text: str) -> str:
             # An unescaped dash begins a size.
             style = font_manager.FontProperties(font.replace("-", r"\-"))
             path = font_manager.findfont(style, fallback_to_default=False)
-        except ValueError as error:
+        except (ValueError, AttributeError) as error:
             installed = sorted({entry.name for entry in font_manager.fontManager.ttflist})
             close = get_close_matches(font.split(":")[0], installed, n=3, cutoff=0.5)
             names = ", ".join(dict.fromkeys((close + installed)[:8]))

@@ -22,10 +22,7 @@ FIGURES = {
     "time-series": time_series.plot_time_series,
     "fuel": measures.plot_fuel,
 }
-PAIR_FIGURES = {
-    "separation": measures.plot_separation,
-    "half-space": half_space.plot_half_space,
-}
+PAIR_FIGURES = {"separation": measures.plot_separation, "half-space": half_space.plot_half_space}
 ORBIT_FIGURES = {
     "instants": snapshots.plot_instants,
     "space": snapshots.plot_space,
