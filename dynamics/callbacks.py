@@ -125,10 +125,10 @@ def as_shape(value: Any, shape: tuple[int, ...], can_stretch: bool = False) -> A
     value = value.full() if type(value).__name__ == "DM" else value  # numbers of CasADi
     try:
         array = read_array(value).astype(float)
-        check_finite(array)
-        check_range(array)
     except InputError as error:
         raise InputError("", f"{error}; {would_do}") from error
+    check_finite(array)
+    check_range(array)
     lacking = max(len(shape) - array.ndim, 0) if can_stretch else 0
     if array.shape != shape[lacking:]:
         raise InputError("", f"must be an array of shape {shape}, got {array.shape}")

@@ -113,6 +113,11 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
         names = [f"v{axis}" if is_moving else axis for axis in AXES]
         return _stack(*table, units or dict.fromkeys(names, unit))
     numbers, has_unit = _strip(value, unit)
+    name = getattr(value, "name", None)
+    if unit and not has_unit and isinstance(name, str) and "_" in name:  # of pandas and xarray
+        endings = (ending for ending in SUFFIXES if name.endswith(f"_{ending}"))
+        if spelled := max(endings, key=len, default=""):
+            numbers = np.asarray(numbers) * parse_unit(spelled, unit)
     if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):
         cure = "plain numbers, in m and m/s, would do"
         raise InputError("", f"has one unit for positions and velocities; {cure}")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 # Did what was asked; ran, but did not reach it; refused before anything was done.
 EXIT_OK, EXIT_FAILED, EXIT_USAGE = 0, 1, 2
+EXIT_UNREAD = 128 + 13  # the reader of the output has gone, as shells say of SIGPIPE
 
 
 class CommandGroup(TyperGroup):
@@ -40,7 +41,7 @@ class CommandGroup(TyperGroup):
             # The reader of the output closed it, as `head` does. At exit, the interpreter would
             # write the rest of its buffer, and complain.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(EXIT_FAILED) from None
+            raise typer.Exit(EXIT_UNREAD) from None
         except (Exception, KeyboardInterrupt) as error:
             if type(error).__module__.startswith(("click", "typer")):
                 if hasattr(error.__cause__, "errors"):  # of pydantic, which Typer converts with

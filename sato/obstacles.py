@@ -33,9 +33,6 @@ class Obstacle(Definition):
 
     callbacks: ClassVar = {
         "nearest": Callback("points", lambda _, given, x: as_shape(x, np.shape(given["points"]))),
-        "distances": Callback(
-            "points", lambda _, given, x: as_shape(x, np.shape(given["points"])[:-1])
-        ),
         "scaled": Callback("factors", lambda _, given, x: as_kind(x, Obstacle, "an obstacle")),
     }
 
@@ -112,8 +109,10 @@ class Obstacle(Definition):
             reason = f"has {len(self.velocity)} entries, and the obstacle {self.axes} coordinates"
             raise InputError("velocity_m_s", reason)
         if is_own(kind := type(self)):
-            if (kind.place_at, kind.drift) != (Obstacle.place_at, Obstacle.drift):
-                raise InputError("", f"{kind.__name__} moves by its velocity_m_s alone")
+            names = ("place_at", "drift", "distances")
+            if wrong := [n for n in names if getattr(kind, n) is not getattr(Obstacle, n)]:
+                reason = "velocity_m_s and nearest are all that it moves and keeps a distance by"
+                raise InputError("", f"{kind.__name__}.{wrong[0]} is not asked for: {reason}")
             with errors_in(f"{kind.__name__}.corners"):
                 as_array(self.corners, 2)
 
@@ -241,7 +240,7 @@ class Polytope(Obstacle):
     kind: ClassVar[str] = "polytope"
     points: Annotated[Matrix | None, Unit("m"), "corners"] = None
     normals: Annotated[Matrix | None, "normal n of each face, outwards, instead of corners"] = None
-    offsets: Annotated[Coordinates | None, Unit("m"), "n·x at each face, for unit normals n"] = None
+    offsets: Annotated[Coordinates | None, Unit("m"), "n·x at each face"] = None
 
     def check(self) -> None:
         """Refuse what is no convex polytope with a volume."""
@@ -311,7 +310,7 @@ def intersect_half_spaces(
     length = np.linalg.norm(normals, axis=1)
     if not (length > 0).all():
         raise InputError("normals", "must not be zero")
-    unit, d = normals / length[:, None], normals.shape[1]
+    unit, offsets, d = normals / length[:, None], offsets / length, normals.shape[1]
     # The largest ball within all faces; a cube bounds it where they do not.
     wide = 1e6 * (1 + np.abs(offsets).max())
     A = np.hstack([unit, np.ones((len(unit), 1))])

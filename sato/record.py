@@ -143,9 +143,9 @@ def _read_ends(path: Path) -> bytes:
 def load(path: Path) -> tuple[RunData, dict[str, Any]]:
     """Read the data and the summary of a run from its folder, or from the run file itself.
 
-    A file of another name than run.nc has no summary beside it, for that may be another run's, and
-    so may be one that is written meanwhile. A `RunFileError` says that it is missing, damaged, or
-    not a run.
+    A file of another name than run.nc has no summary beside it, for that may be another run's. The
+    summary of another run, but for one that is written meanwhile, counts as empty. A `RunFileError`
+    says that it is missing, damaged, or not a run.
     """
     remove_leftovers(path if path.is_dir() else path.parent)
     file = path / RUN_FILE if path.is_dir() else path
@@ -157,7 +157,7 @@ def load(path: Path) -> tuple[RunData, dict[str, Any]]:
         digest = data.attrs.get("digest")
         if summary.pop("digest", digest) == digest:
             return data, summary
-    return data, initial_summary(data.attrs)
+    return data, {}
 
 
 def _read_data(path: Path, file: Path) -> RunData:

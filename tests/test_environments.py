@@ -133,3 +133,12 @@ def test_exception_in_a_flight_leaves_its_record(monkeypatch):
     assert "a fault of the program: IndexError: index 7" in run.summary["stopped"]
     with pytest.raises(IndexError):
         sato.run("crossing", strict=True)
+
+
+def test_a_command_whose_reader_has_gone_ends_as_shells_have_it(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "sato", "keys", "connectivity"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, cwd=tmp_path)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, b"")

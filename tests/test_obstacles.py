@@ -125,6 +125,11 @@ def test_route_leads_around_and_is_hardly_longer_than_the_shortest():
     assert find_route(np.zeros(2), np.array([9.0, 0.0]), closed) is None
 
 
+def test_faces_are_where_their_inequalities_say():
+    twice = sato.Polytope(normals=0.5 * np.vstack([np.eye(2), -np.eye(2)]), offsets=[1, 1, 1, 1])
+    assert twice.distances(np.array([[5.0, 0.0]])) == pytest.approx(3.0)
+
+
 class Late(sato.Sphere):
     """Moves as its speed does not say."""
 
@@ -141,9 +146,9 @@ class Hollow(sato.Sphere):
 
 
 class Flat(sato.Sphere):
-    """Has one distance from all points."""
+    """Has a number as its nearest points."""
 
-    def distances(self, points):
+    def nearest(self, points):
         return 0.0
 
 
@@ -159,10 +164,10 @@ class Flat(sato.Sphere):
         (lambda: sato.Box((0, 0), (1, 0)), "must be less than high_m"),
         (lambda: sato.Sphere((0, 0), 1.0, velocity=(1, 0, 0)), "has 3 entries"),
         (lambda: sato.Sphere((0,), 1.0), "space has 2 or 3"),
-        (lambda: Late((0, 0), 1.0), "Late moves by its velocity_m_s alone"),
+        (lambda: Late((0, 0), 1.0), "Late.place_at is not asked for: velocity_m_s"),
         (lambda: Hollow((0, 0), 1.0), "Hollow.corners: must be finite"),
         (lambda: sato.obstacles.Obstacle(), "needs place, corners, nearest and scaled"),
-        (lambda: Flat((0, 0), 1.0).distances(np.zeros((3, 2))), "must be an array of shape"),
+        (lambda: Flat((0, 0), 1.0).nearest(np.zeros((3, 2))), "must be an array of shape"),
     ],
 )
 def test_what_is_no_convex_body_is_refused(make, message):

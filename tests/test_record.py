@@ -309,3 +309,11 @@ def test_run_of_another_mission_is_refused(run, tmp_path):
 def test_numpy_values_are_written_as_plain_json():
     values = [np.arange(2), np.float64(0.5), np.bool_(True)]
     assert json.loads(json.dumps(values, default=json_default)) == [[0, 1], 0.5, True]
+
+
+def test_a_summary_of_another_run_breaks_its_promise(run, tmp_path):
+    run.save(tmp_path)
+    summary = tmp_path / "summary.json"
+    summary.write_text(summary.read_text().replace(run.data.attrs["digest"], "0" * 64))
+    loaded = sato.load(tmp_path)
+    assert "summary" in [promise.name for promise in loaded.report.broken]

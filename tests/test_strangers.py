@@ -238,7 +238,7 @@ def test_damaged_epoch_is_told_where_it_is_asked_for(tmp_path):
 def test_summary_of_another_run_is_not_paired(flown, folder, tmp_path):
     other = sato.run("crossing", seed=1).save(tmp_path / "other")
     (folder / "summary.json").write_text((other / "summary.json").read_text())
-    assert sato.load(folder).claimed["seed"] == 0
+    assert sato.load(folder).claimed == {}
     assert sato.load(other).claimed["seed"] == 1
 
 

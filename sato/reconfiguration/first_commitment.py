@@ -259,8 +259,9 @@ def _check_speeds(
 
 
 def _wider(mission: Reconfiguration, radius: float) -> list[str]:
-    is_cure = mission.comm_radius < radius < inf
-    return [f"swarm.comm_radius_m = {round_up(radius)}"] if is_cure else []
+    is_sight = mission.reaching_key == "swarm.sensing_radius_m"
+    is_cure = (mission.sight if is_sight else mission.comm_radius) < radius < inf
+    return [f"{mission.reaching_key} = {round_up(radius)}"] if is_cure else []
 
 
 def check_stops(

@@ -117,7 +117,7 @@ def _check_rounds(mission: "Reconfiguration") -> None:
         f"{link.round:g} s leave {has} rounds of messages for a decision, in replan_steps = "
         f"{steps} of {mission.step:g} s{less}, and it takes at least {needed:.0f}: "
         f"{link.silent_rounds} to hear all neighbors, and {least_rounds(mission)} to agree, "
-        f"each repeated until it is heard; {join_names(cures)} would do",
+        f"each repeated until it is heard; {join_names(cures)} is the least that may do",
     )
 
 
@@ -226,7 +226,7 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
     fastest, slow = float(mission.top_speeds.max()), mission.slow_speed
     if (link.round or link.skew) and slow is not None and slow < SLOW_SHARE * fastest:
         radius = mission.radius_for_full_speed
-        cure = f"; swarm.comm_radius_m = {round_up(radius)} would do" if radius < inf else ""
+        cure = f"; {mission.reaching_key} = {round_up(radius)} would do" if radius < inf else ""
         doubts.append(
             f"over this [link] vehicles plan to fly at {slow:.3g} m/s, from which they stop before "
             f"they meet others unheard, and not at {fastest:.3g}{cure}"

@@ -123,7 +123,8 @@ def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
         return
     u = np.zeros((len(x), x.shape[1] // 2))
     plant.propagate(x, u, 0.0, step, 2)
-    first, again = (plant.propagate(x, u, 0.0, step) for _ in range(2))
+    pushes = u + 1e-3, u, u + 1e-3
+    first, _, again = (plant.propagate(x, push, 0.0, step) for push in pushes)
     if not np.array_equal(first, again):
         name = f"{type(plant).__name__}.propagate"
         reason = "returns other states for the same arguments; a plant without state and chance"

@@ -110,6 +110,12 @@ class PlannedLimits(Vehicles):
         """Margin beyond the collision radius; 0 while it is still to be computed [m]."""
         return float(self.margin) if self.has_margin else 0.0
 
+    @property
+    def reaching_key(self) -> str:
+        """Key of the radius that bounds how far vehicles know."""
+        is_sight = self.has_unseen and self.sight < self.comm_radius
+        return "swarm.sensing_radius_m" if is_sight else "swarm.comm_radius_m"
+
     def reach_unheard(self, margin: float) -> float:
         """Return how far vehicles may fly on before they could meet what they do not know [m].
 

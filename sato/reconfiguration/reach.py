@@ -97,7 +97,7 @@ def _check_leg(
         within += f", at {slow:.3g} m/s, from which vehicles stop before they meet others unheard"
         fast = departure._replace(mission=replace(mission, allow_undetectable=True))
         if _Search(fast, lambda _: targets, SEARCH_TIME).is_enough(steps, room):
-            cures.append(f"swarm.comm_radius_m = {round_up(mission.radius_for_full_speed)}")
+            cures.append(f"{mission.reaching_key} = {round_up(mission.radius_for_full_speed)}")
     where = f"leg.{number}.steps"
     if cures:
         raise InputError(where, f"{fault} {within}; {join_names(cures)} would do")

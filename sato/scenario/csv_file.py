@@ -114,7 +114,9 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
         text = files.read_text(path)
     except FileNotFoundError as error:
         raise ValueError(f"there is no file {path}") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text in UTF-8; saving it as UTF-8 would do") from error
+    except OSError as error:
         raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
     told = re.fullmatch(r"\s*sep=(.)\s*", lines[0][1], re.IGNORECASE) if lines else None

@@ -202,7 +202,8 @@ def _read_keys(entries: dict[str, Entry | None], given: Any) -> dict[tuple[str, 
         if entry is None:
             continue
         if entry.path in values:
-            raise InputError(key, f"is given twice; one of it and {name} is enough")
+            other = next(k for k in given if find_key(k, entries) == name)
+            raise InputError(key, f"is given twice; one of it and {other} is enough")
         unit = split_unit(key)[1]
         with errors_in(key):
             plain = value if entry.field.variants else to_si(value, entry.field.unit)
