@@ -19,7 +19,7 @@ import open_hostile_pages as hostile
 
 CHROMIUM = shutil.which("chromium")
 FIELDS = [
-    "attribute: name", "attribute: version", "attribute: stopped", "event: kind", "event: key",
+    "attribute: name", "attribute: version", "attribute: stopped", "event: key",
     "origin: name", "note: all", "long_name: all", "variable: more", "summary: key",
 ]  # fmt: skip
 

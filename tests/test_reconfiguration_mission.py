@@ -330,7 +330,7 @@ def test_plans_that_reach_their_targets_are_kept_before_the_deadline(freeze):
 def test_a_join_counts_the_agents_that_its_start_lists():
     joined = Join(None, [[9.0, 0.0], [9.0, 3.0]])
     mission = tiny(legs=[Leg(Ring(radius=6.0), 20, joins=[joined])])
-    assert mission.legs[0].joins[0].size == 2 and parse(mission.to_toml()) == mission
+    assert mission.legs[0].joins[0].agents == 2 and parse(mission.to_toml()) == mission
     with pytest.raises(InputError, match="agents: is missing"):
         Join(None, Random(box=9.0, separation=1.0))
 

@@ -221,12 +221,14 @@ def _check_axes(mission: "Reconfiguration") -> None:
 def _check_legs(mission: "Reconfiguration") -> None:
     if not mission.legs:
         raise InputError("leg", "needs at least 1 entry, got 0")
+    if mission.agents is None:
+        raise InputError("swarm.agents", "is missing, and has no default")
     if mission.target_count is not None and all(map(mission.uses_all_targets, mission.legs)):
         reason = "has no meaning where agents choose among all targets, or have them given"
         raise InputError("swarm.believed", f"{reason}; leave it out")
-    known, listed = mission.agent_count, getattr(mission.start, "positions", None)
+    known, listed = mission.agents, getattr(mission.start, "positions", None)
     if listed is not None and len(listed) != known:
-        reason = f"lists {len(listed)} positions for {known} agents"
+        reason = f"lists {len(listed)} positions for {known} agents; agents = None counts them"
         raise InputError("swarm.start.positions_m", reason)
     for number, (leg, enough) in enumerate(zip(mission.legs, target_demand(mission), strict=True)):
         known += sum(join.size for join in leg.joins)

@@ -83,18 +83,21 @@ class Join(Definition):
         Literal["wait", "refuse"], "without room, join as soon as there is some, or not at all"
     ] = "wait"
 
+    def completed(self) -> dict[str, Any]:
+        """Return how many agents the start lists, where it is not given."""
+        if self.agents is None and isinstance(self.start, Points):
+            return {"agents": len(self.start.listed)}
+        return {}
+
     def check(self) -> None:
         """Refuse a missing start, and an unknown number of agents."""
         for key in ("start", "agents"):
-            is_listed = key == "agents" and isinstance(self.start, Points)
-            if getattr(self, key) is None and not is_listed:
+            if getattr(self, key) is None:
                 raise InputError(key, "is missing, and has no default")
 
     @property
     def size(self) -> int:
         """Number of agents that join."""
-        if self.agents is None and isinstance(self.start, Points):
-            return len(self.start.listed)
         assert self.agents is not None
         return self.agents
 

@@ -13,7 +13,7 @@ from sato.reconfiguration import feasibility, link_feasibility, models, own_moti
 from sato.reconfiguration.leg import Leg, states_of
 from sato.reconfiguration.planned_limits import PlannedLimits
 from sato.reconfiguration.start import start_without_files
-from sato.scenario.definition import Count, is_auto
+from sato.scenario.definition import Count, errors_in, is_auto
 from sato.shapes import Points
 
 WHOLE_LEG = 10**9  # steps, more than a leg has
@@ -46,13 +46,16 @@ class Reconfiguration(PlannedLimits):
     def completed(self) -> dict[str, Any]:
         """Return what follows from the other fields where it is not given."""
         model, chief = models.as_definition(self.model, self.chief)
-        return {"model": model, "chief": chief}
+        values: dict[str, Any] = {"model": model, "chief": chief}
+        if self.agents is None and isinstance(self.start, Points):
+            with errors_in("swarm.start"):
+                values["agents"] = len(self.start.listed)
+        return values
 
     def choices(self) -> dict[str, Any]:
-        """Return the agents, periods, and the rules of the auction, where they are not given."""
+        """Return periods, and the rules of the auction, where they are not given."""
         tie_break, reset = (0.0, "change") if self.printed else (0.2, "need")
         plain = {"bidder_ids": not self.printed, "tie_break": tie_break, "reset": reset}
-        plain |= {"agents": self.agent_count} if isinstance(self.start, Points) else {}
         values = {name: value for name, value in plain.items() if getattr(self, name) is None}
         if self.replan_steps is None and self.printed:
             values["replan_steps"] = self.horizon_steps
@@ -126,6 +129,12 @@ class Reconfiguration(PlannedLimits):
     def has_surroundings(self) -> bool:
         """True where there is anything to avoid but each other."""
         return bool(self.obstacles) or self.box is not None or self.has_unseen
+
+    @property
+    def agent_count(self) -> int:
+        """Number of agents at the start."""
+        assert self.agents is not None
+        return self.agents
 
     @property
     def foresight(self) -> int:

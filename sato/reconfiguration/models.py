@@ -206,7 +206,7 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         about = getattr(part, "orbit", part) if about is None else about
         period, mu = getattr(about, "period", None), getattr(about, "mu", None)
         if isinstance(part, ClohessyWiltshire | SchweighartSedwick):
-            period = 2 * pi / part.n
+            period, mu = 2 * pi / part.n, None
         if mu not in (None, orbit.mu):
             reason = f"has mu = {mu:.6g} m³/s², and the chief {orbit.mu:.6g}"
             raise InputError(name, f"{reason}; one orbit for both would do")

@@ -9,9 +9,8 @@ from numpy import ndarray as Array
 
 from problems.limit import Limit, Norm
 from sato.reconfiguration.fields import ReconfigurationFields
-from sato.scenario.definition import Count, errors_in
+from sato.scenario.definition import Count
 from sato.scenario.errors import InputError
-from sato.shapes import Points
 
 
 class Vehicles(ReconfigurationFields):
@@ -44,23 +43,9 @@ class Vehicles(ReconfigurationFields):
         return vectors if scale is None else vectors * np.array(scale)
 
     @property
-    def agent_count(self) -> int:
-        """Number of agents at the start.
-
-        Raises:
-            InputError: It is neither given nor listed by the start.
-        """
-        if self.agents is None and isinstance(self.start, Points):
-            with errors_in("swarm.start"):
-                return len(self.start.listed)
-        if self.agents is None:
-            raise InputError("swarm.agents", "is missing, and has no default")
-        return self.agents
-
-    @property
     def vehicle_count(self) -> int:
         """Number of agents, those that join later included."""
-        return self.agent_count + sum(join.size for leg in self.legs for join in leg.joins)
+        return (self.agents or 1) + sum(join.size for leg in self.legs for join in leg.joins)
 
     @cached_property
     def radii(self) -> Float[Array, " vehicles"]:
@@ -179,6 +164,8 @@ def check_limits(mission: Any) -> None:
         if getattr(mission, norm) != "inf":
             reason = f'{norm} = {getattr(mission, norm)}; {norm} = "inf" would do'
             raise InputError(where, f"limits each axis by itself, and there is {reason}")
+    if mission.agents is None:
+        return
     count = mission.vehicle_count
     _check_ellipsoid(mission)
     for where, value in (

@@ -115,7 +115,8 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     except FileNotFoundError as error:
         raise ValueError(f"there is no file {path}") from error
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text in UTF-8; saving it as UTF-8 would do") from error
+        reason = "it is no text in UTF-8; a text saved as UTF-8 would do"
+        raise ValueError(f"{path} cannot be read as a list of {content}: {reason}") from error
     except OSError as error:
         raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
