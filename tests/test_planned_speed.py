@@ -107,3 +107,12 @@ def test_a_start_faster_than_plans_is_not_refused():
     assert slow_speed(mission) < 0.8
     away = np.linalg.norm(fly(mission)[-1].position - mission.legs[0].targets[:, :2], axis=1)
     assert away.max() <= mission.position_tolerance
+
+
+@pytest.mark.parametrize("link", [[], ["plan.horizon_steps=8", "link.round_s=0.02"]])
+def test_limits_are_known_before_a_mission_is_drawn(link):
+    automatic = ["plan.replan_steps=none", "plan.auction_steps=none"]
+    mission = sato.read("crossing", [*automatic, *link])
+    drawn = mission.draw(np.random.default_rng(0))
+    for name in ("radius_for_full_speed", "lag_steps", "decision_rounds"):
+        assert getattr(mission, name) == pytest.approx(getattr(drawn, name))

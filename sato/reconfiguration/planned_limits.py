@@ -31,7 +31,12 @@ class PlannedLimits(Vehicles):
     @property
     def lag_steps(self) -> int:
         """Steps from the beginning of a decision until what is decided is flown."""
-        return self.replan_steps if self.link.round > 0 else 0
+        return self.decision_period if self.link.round > 0 else 0
+
+    @property
+    def decision_period(self) -> int:
+        """Steps from one decision to the next, also where they are still automatic."""
+        return self.replan_steps or int(self.choices()["replan_steps"])
 
     @property
     def decision_rounds(self) -> int:
@@ -127,10 +132,10 @@ class PlannedLimits(Vehicles):
         """
         if self.allow_undetectable or self.printed:
             return inf
-        rooms = self._list_rooms(self.replan_steps, margin)
+        rooms = self._list_rooms(self.decision_period, margin)
         if self.link.is_ideal:
             return min(room for room, _ in rooms)
-        V = self.fastest_plans(self.replan_steps, margin)
+        V = self.fastest_plans(self.decision_period, margin)
         return min(room - V * delay for room, delay in rooms)
 
     def _list_rooms(self, steps: Count, margin: float) -> list[tuple[float, float]]:
@@ -181,7 +186,7 @@ class PlannedLimits(Vehicles):
     def skew_margin(self, margin: float) -> float:
         """Return by how much two come nearer than planned as their clocks differ [m]."""
         skew = self.link.skew
-        return skew * self.fastest_plans(self.replan_steps, margin) if skew else 0.0
+        return skew * self.fastest_plans(self.decision_period, margin) if skew else 0.0
 
     @property
     def least_braking(self) -> float:
@@ -192,22 +197,22 @@ class PlannedLimits(Vehicles):
     @property
     def slow_speed(self) -> float | None:
         """Speed to which plans keep where vehicles could not stop within reach from more [m/s]."""
-        slow = self.speed_within_reach(self.replan_steps, self.known_margin)
+        slow = self.speed_within_reach(self.decision_period, self.known_margin)
         return slow if 0 < slow < self.top_speeds.max() else None
 
     @property
     def radius_for_full_speed(self) -> float:
         """Communication radius with which vehicles stop within reach from full speed [m]."""
-        V, t = float(self.top_speeds.max()), (self.replan_steps + 0.5) * self.step
+        V, t = float(self.top_speeds.max()), (self.decision_period + 0.5) * self.step
         return self.radius_for_way(V * t + V**2 / (2 * self.least_braking))
 
     def radius_for_way(self, way: float) -> float:
         """Return the communication radius that lets vehicles at full speed fly on so far [m]."""
         V, margin = float(self.top_speeds.max()), self.known_margin
-        [(_, delay), *_] = self._list_rooms(self.replan_steps, margin)
+        [(_, delay), *_] = self._list_rooms(self.decision_period, margin)
         if delay:
             way += V * delay
-            margin += self.link.skew * (V - self.fastest_plans(self.replan_steps, margin))
+            margin += self.link.skew * (V - self.fastest_plans(self.decision_period, margin))
         return self.distance_unheard(margin) + self.sharing_unheard * way
 
     def planned_speed_limit(
@@ -218,7 +223,7 @@ class PlannedLimits(Vehicles):
         Where it could not stop within reach from full speed, it plans to fly more slowly.
         """
         limit = self.speed_limit(agent)
-        slow = self.speed_within_reach(self.replan_steps, self.known_margin, control_factor)
+        slow = self.speed_within_reach(self.decision_period, self.known_margin, control_factor)
         if slow >= limit.largest_length or slow == 0:
             return limit
         if limit.largest_length < inf:
