@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 
 from dynamics.inputs import PLAIN, InputError, as_array, join_names
 from dynamics.quantities import to_si
-from dynamics.units import SUFFIXES
+from dynamics.units import SUFFIXES, split_unit
 
 Units = Mapping[str, str]  # unit of each column, by its name in this library
 AXES = ("x", "y", "z")
@@ -114,10 +114,9 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
         return _stack(*table, units or dict.fromkeys(names, unit))
     numbers, has_unit = _strip(value, unit)
     name = getattr(value, "name", None)
-    if unit and not has_unit and isinstance(name, str) and "_" in name:  # of pandas and xarray
-        endings = (ending for ending in SUFFIXES if name.endswith(f"_{ending}"))
-        if spelled := max(endings, key=len, default=""):
-            numbers = np.asarray(numbers) * parse_unit(spelled, unit)
+    spelled = split_unit(name)[1] if isinstance(name, str) else None  # of pandas and xarray
+    if unit and not has_unit and spelled is not None:
+        numbers = np.asarray(numbers) * parse_unit(spelled, unit)
     if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):
         cure = "plain numbers, in m and m/s, would do"
         raise InputError("", f"has one unit for positions and velocities; {cure}")

@@ -90,3 +90,11 @@ Speed = Annotated[float, Unit("m_s")]
 Acceleration = Annotated[float, Unit("m_s2")]
 Angle = Annotated[float, Unit("rad")]
 AngularRate = Annotated[float, Unit("rad_s")]
+
+
+def split_unit(key: str) -> tuple[str, str | None]:
+    """Split a key from the suffix of its unit."""
+    for suffix in SUFFIXES:
+        if key.endswith(f"_{suffix}"):
+            return key.removesuffix(f"_{suffix}"), suffix
+    return key, None

@@ -417,3 +417,14 @@ def test_headings_of_frames_are_taken_with_their_unit():
         assert FrameSettings(yaw=given).yaw == pytest.approx(headings)
     with pytest.raises(sato.InputError, match="yaw: must be an angle, got an array in m"):
         FrameSettings(yaw=headings * u.m)
+
+
+@pytest.mark.parametrize("kind", [pd.Series, xr.DataArray])
+def test_the_unit_in_the_name_of_a_column_is_obeyed_or_refused(kind):
+    shared = {"model": sato.DoubleIntegrator(2), "start": [[0.0, 0.0], [3.0, 0.0]], "step": 1.0}
+    shared |= {"legs": [sato.Leg([[0.0, 3.0], [3.0, 3.0]], 20)], "comm_radius": 9.0}
+    shared |= {"collision_radius": 0.5, "max_speed": 0.5}
+    limits = kind([20.0, 30.0], name="max_control_cm_s2")
+    assert sato.Reconfiguration(max_control=limits, **shared).max_control == (0.2, 0.3)
+    with pytest.raises(sato.InputError, match='max_control_m_s2: has the unit "km"'):
+        sato.Reconfiguration(max_control=kind([1.0, 1.0], name="limit_km"), **shared)

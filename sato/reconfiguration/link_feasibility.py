@@ -117,7 +117,7 @@ def _check_rounds(mission: "Reconfiguration") -> None:
         f"{link.round:g} s leave {has} rounds of messages for a decision, in replan_steps = "
         f"{steps} of {mission.step:g} s{less}, and it takes at least {needed:.0f}: "
         f"{link.silent_rounds} to hear all neighbors, and {least_rounds(mission)} to agree, "
-        f"each repeated until it is heard; {join_names(cures)} is the least that may do",
+        f"each repeated until it is heard; {join_names(cures)} may do",
     )
 
 

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from dynamics.inputs import LARGEST, is_marked
 from dynamics.quantities import to_si
-from dynamics.units import SUFFIXES
+from dynamics.units import SUFFIXES, split_unit
 from sato.scenario.definition import (
     Field,
     errors_in,
@@ -169,14 +169,6 @@ def unknown_key(address: str, known: Collection[str]) -> InputError:
     close = closest_name(address, known)
     hint = f"did you mean {close}?" if close else "`sato keys SYSTEM` lists the keys"
     return InputError(address, f"there is no such key; {hint}")
-
-
-def split_unit(key: str) -> tuple[str, str | None]:
-    """Split a key from the suffix of its unit."""
-    for suffix in SUFFIXES:
-        if key.endswith(f"_{suffix}"):
-            return key.removesuffix(f"_{suffix}"), suffix
-    return key, None
 
 
 def _entries(definition: Any, path: tuple[str, ...], table: str) -> Iterator[tuple[str, Entry]]:
