@@ -57,6 +57,7 @@ class Suffix(NamedTuple):
 # Longer suffixes stand before those that end alike: the first that fits is taken.
 SUFFIXES = {
     "mm_s2": Suffix("acceleration", 1e-3, "mm/s²"),
+    "cm_s2": Suffix("acceleration", 1e-2, "cm/s²"),
     "m_s2": Suffix("acceleration", 1.0, "m/s²"),
     "kg_m3": Suffix("density", 1.0, "kg/m³"),
     "m2_kg": Suffix("area per mass", 1.0, "m²/kg"),

@@ -10,7 +10,7 @@ HEAD = """# Keys of scenario files
 
 A scenario is a TOML file; `sato show NAME` prints one with all defaults. A number with a unit has
 the unit at the end of its key. Any unit of the same kind is accepted and converted to SI: `_m _km
-_cm _mm`, `_s _ms _min _h`, `_m_s _km_s _km_h _cm_s _mm_s`, `_m_s2 _mm_s2`, `_rad _deg`,
+_cm _mm`, `_s _ms _min _h`, `_m_s _km_s _km_h _cm_s _mm_s`, `_m_s2 _cm_s2 _mm_s2`, `_rad _deg`,
 `_rad_s _deg_s`, `_hz`, `_m3_s2 _km3_s2`. `--set table.key=value`
 changes a key; where only one table has the key, the key alone is enough. `--set table.key=none`
 takes a key away, so that it has its default; in Python `"table.key=none"` or `("table.key", None)`

@@ -425,6 +425,7 @@ def test_the_unit_in_the_name_of_a_column_is_obeyed_or_refused(kind):
     shared |= {"legs": [sato.Leg([[0.0, 3.0], [3.0, 3.0]], 20)], "comm_radius": 9.0}
     shared |= {"collision_radius": 0.5, "max_speed": 0.5}
     limits = kind([20.0, 30.0], name="max_control_cm_s2")
-    assert sato.Reconfiguration(max_control=limits, **shared).max_control == (0.2, 0.3)
+    mission = sato.Reconfiguration(max_control=limits, **shared)
+    assert mission.max_control == pytest.approx((0.2, 0.3), rel=1e-15)
     with pytest.raises(sato.InputError, match='max_control_m_s2: has the unit "km"'):
         sato.Reconfiguration(max_control=kind([1.0, 1.0], name="limit_km"), **shared)
