@@ -182,11 +182,18 @@ def make_instance(
         if len(flights) < agents:
             continue
         free = np.stack([f.x for f in flights]), np.stack([f.u for f in flights])
-        meetings = CentralizedProblem(transfer, horizon).count_conflicts(*free)
+        meetings = _count_conflicts(CentralizedProblem(transfer, horizon), *free)
         if 2 * meetings >= agents:
             horizon = make_horizon(mission, 0.0, mission.legs[0].steps)
             return mission, CentralizedProblem(transfer, horizon), free, meetings
     raise AssertionError("unreachable: draw_missions does not end")
+
+
+def _count_conflicts(problem: CentralizedProblem, x: Array, u: Array) -> int:
+    """Count the pairs of agents that come too close if all fly alone."""
+    pairs = map(list, combinations(range(len(x)), 2))
+    flights = (problem.simulate(x[pair, 0], x[pair, -1], u[pair], "") for pair in pairs)
+    return sum(flight.min_separation < 1 for flight in flights)
 
 
 @cache

@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from functools import partial, partialmethod, wraps
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy import ndarray as Array
@@ -30,6 +30,7 @@ _FOREIGN = (
     "<__array",
 )
 MAX_LENGTH = 300  # of the text of an exception
+T = TypeVar("T")
 METHODS: Any = Callable, classmethod, partialmethod
 
 is_strict: ContextVar[bool] = ContextVar("is_strict", default=False)  # as of `strictly`
@@ -197,13 +198,12 @@ def _find_place(error: BaseException, function: Any) -> str:
     return f"{Path(known[-1][0]).name}:{known[-1][1]}" if known else ""
 
 
-def freeze(value: Any) -> Any:
+def freeze(value: T) -> T:
     """Return a value, of whose arrays none can be written to from now on."""
     if isinstance(value, Array):
         value.flags.writeable = False
-    for part in (
-        value if isinstance(value, tuple | list) else getattr(value, "__dict__", {}).values()
-    ):
+    parts = value if isinstance(value, tuple | list) else getattr(value, "__dict__", {}).values()
+    for part in parts:
         freeze(part)
     return value
 

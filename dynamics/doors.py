@@ -24,6 +24,7 @@ from dynamics.units import Unit
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 INSIDE = "dynamics.", "problems.", "sato."
+_signature = cache(inspect.signature)
 
 
 def checked(target: Target) -> Target:
@@ -83,11 +84,6 @@ def _wrap(function: Any, is_method: bool = False, is_constructor: bool = False) 
 
 def _module_of(frame: FrameType) -> str:
     return frame.f_globals.get("__name__") or ""
-
-
-@cache
-def _signature(function: Any) -> inspect.Signature:
-    return inspect.signature(function)
 
 
 def _check_call(

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
+from dynamics.callbacks import freeze
 from dynamics.doors import checked
 from dynamics.model import Controls, Jacobian, NonlinearModel, Rates, States, Times
 from dynamics.orbit import Orbit, Scalars, Vectors, lvlh_rates
@@ -76,10 +77,7 @@ def _axes_at(orbit: Orbit, t: Times) -> _Axes:
 
 @lru_cache(maxsize=2048)  # motion is integrated, and linearized, at the same times again and again
 def _fixed_axes(orbit: Orbit, times: bytes, shape: tuple[int, ...]) -> _Axes:
-    axes = _compute_axes(orbit, np.frombuffer(times).reshape(shape))
-    for part in axes:
-        part.setflags(write=False)
-    return axes
+    return freeze(_compute_axes(orbit, np.frombuffer(times).reshape(shape)))
 
 
 def _compute_axes(orbit: Orbit, times: Array) -> _Axes:

@@ -186,14 +186,10 @@ def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:
         value = value.T
     index = value.index
     if index.nlevels > 1 or (is_frame and index.dtype.kind == "M"):
-        raise InputError(
-            "", "has an index of times, or of several levels; reset_index(drop=True) has none"
-        )
+        raise InputError("", "has an index of times, or levels; reset_index(drop=True) has none")
     is_named = is_frame and index.name is not None
     if not (is_named or _is_in_order(index)):
-        raise InputError(
-            "", "has an index out of order; reset_index(drop=True) keeps the rows as they stand"
-        )
+        raise InputError("", "has an index out of order; reset_index(drop=True) keeps this order")
     names = list(value.columns) if is_frame else [0]
     columns = [value.iloc[:, i] for i in range(len(names))] if is_frame else [value]
     if names == list(range(len(names))) and not is_named:

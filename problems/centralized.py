@@ -230,16 +230,6 @@ class CentralizedProblem:
         error = float(np.abs((x[:, -1] - goal) / self._program.state_units).max())
         return SimulatedSolution(x, u, cost, error, thrust, speed, apart, solver_message)
 
-    def count_conflicts(self, x: Float[Array, "agents instants n"], u: AgentControls) -> int:
-        """Count the pairs that come too close on given trajectories.
-
-        Args:
-            x: Positions [m] and velocities [m/s].
-            u: Accelerations, held over each step [m/s²].
-        """
-        distance, _ = self._closest_approaches(x, u)
-        return int((distance < self._clearances_of(len(x))).any(axis=1).sum())
-
     def _solve_from(self, ends: Ends, guess: InitialGuess, cheapest: float) -> SimulatedSolution:
         first = self._initial_constraints(*guess)
         found, instants = self._refine_constraints(ends, guess, first, cheapest)

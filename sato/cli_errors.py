@@ -30,6 +30,12 @@ EXIT_UNREAD = 128 + 13  # the reader of the output has gone, as shells say of SI
 class CommandGroup(TyperGroup):
     """Commands whose errors and warnings become one line each on the error stream."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse empty words: `--out ""` would be the current folder."""
+        if "" in args:
+            raise typer.BadParameter("a word is empty, as of a variable of the shell without value")
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
         use_ascii_where_needed()

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy import ndarray as Array
 
+from dynamics.callbacks import freeze
 from dynamics.doors import checked
 from dynamics.inputs import InputError, format_value, join_names
 
@@ -44,9 +45,8 @@ class RunData:
 
     def __post_init__(self) -> None:
         """Protect the arrays; refuse variables that differ in size along a dimension."""
-        views = {name: v._replace(values=v.values.view()) for name, v in self.variables.items()}
-        for variable in views.values():
-            variable.values.flags.writeable = False
+        items = self.variables.items()
+        views = {name: v._replace(values=freeze(v.values.view())) for name, v in items}
         object.__setattr__(self, "variables", views)
         sizes: dict[str, int] = {}
         for name, value in self.attrs.items():

@@ -46,15 +46,12 @@ def _open_variable(file: Path, opened: Any, name: str) -> Any:
     if not isinstance(variable, h5py.Dataset) or variable.external or variable.is_virtual:
         raise InputError("", f"{file}: the values of {name} are not in this file")
     is_text = h5py.check_string_dtype(variable.dtype) is not None
-    filters, is_twice = set(variable._filters), len(variable._filters) < _count_filters(variable)
+    filters = set(variable._filters)
+    is_twice = len(filters) < variable.id.get_create_plist().get_nfilters()
     has_kind = variable.ndim == 1 if is_text else variable.dtype.kind in "biufSV"
     if filters - FILTERS or is_twice or not has_kind or (variable.dtype.hasobject and not is_text):
         raise InputError("", f"{file}: {name} is of a kind that no run has")
     return variable
-
-
-def _count_filters(variable: Any) -> int:
-    return int(variable.id.get_create_plist().get_nfilters())
 
 
 def _measure(variables: list[Any]) -> Iterator[float]:

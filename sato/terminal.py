@@ -13,18 +13,9 @@ _COMMANDS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff]"
     "|[\ufff9-\ufffb\ufffe\uffff\U000e0000-\U000e0fff]"
 )
-_ASCII = {
-    "λ": "lambda",
-    "−": "-",
-    "–": "-",
-    "≤": "<=",
-    "≥": ">=",
-    "°": " deg",
-    "·": "*",
-    "×": "x",
-    "±": "+-",
-}
+_ASCII = {"λ": "lambda", "−": "-", "–": "-", "≤": "<=", "≥": ">=", "°": " deg", "·": "*", "×": "x"}
 _ASCII |= {"²": "^2", "³": "^3", "⁵": "^5", "’": "'", "‘": "'", "“": '"', "”": '"', "→": "->"}
+_ASCII["±"] = "+-"
 STAND_IN = "sato.ascii"  # name of the error handler
 
 

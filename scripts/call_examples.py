@@ -356,7 +356,6 @@ def _central(horizon: Any, transfer: Any, flown: Any) -> Iterator[Call]:
     yield problem.solve, {**ends, "guesses": [(x, u)]}
     yield problem.nonlinear_program, {**ends, "guess": (x, u)}
     yield problem.simulate, {**ends, "u": u, "solver_message": "none"}
-    yield problem.count_conflicts, {"x": x, "u": u}
     program = problem.nonlinear_program(**ends)
     yield NonlinearProgram, _fields(NonlinearProgram, vars(program))
     yield program.trajectories, {"x": program.arguments["x0"]}

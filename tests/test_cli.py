@@ -307,6 +307,15 @@ def test_an_export_that_cannot_be_is_refused_in_a_sentence(home, words, code, sa
     assert sorted(os.listdir("here")) == ["run.nc", "summary.json"]
 
 
+@pytest.mark.parametrize("words", [["run", ""], ["run", "tiny.toml", "--out", ""]])
+def test_an_empty_word_is_refused_and_nothing_is_written(home, words):
+    before = sorted(os.listdir())
+    refused = call(*words)
+    assert refused.exit_code == 2
+    assert "a word is empty" in refused.stderr
+    assert sorted(os.listdir()) == before
+
+
 def test_player_is_written_beside_the_run_or_where_it_is_asked(home):
     call("run", "tiny.toml", "--quiet", "--out", "here")
     beside = call("player", "here")

@@ -89,6 +89,7 @@ REFUSED = {  # what is wrong: the key, and a value that would do
     "link.skew_s=0.1": "link.skew_s: no clock .* leave it out",
     "link.outage_s=0.04\noutage_share=0.9": "link.outage_share: .* outage_s = 0.34 would do",
     "rate_hz=60": "radio.rate_hz.* 50 would do",
+    "assignment.period_s=0.01": "assignment.period_s: 0.01 is less .* 0.02 would do",
     f"push=[{push(vehicle=6)}]": "push.0.* no vehicle 6.* 0 to 5",
     f"push=[{push(start=2)}]": "push.0.end_s.* never begins",
     f"push=[{push(velocity='[1, 0]')}]": "push.0.velocity_m_s: must have at least 3 items, not 2",

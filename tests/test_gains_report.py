@@ -93,7 +93,7 @@ def test_every_method_writes_gains(home, method):
 REFUSED = {
     "no formation": ("", [], ["NAME or FILE.csv", "--list"]),
     "no such name": ("", ["swarm6/Sta"], ['"swarm6/Sta"', "did you mean swarm6/Star"]),
-    "no such file": ("", ["absent.csv"], ["there is no file absent.csv"]),
+    "no such file": ("", ["absent.csv"], ["absent.csv cannot be read as a list", "No such file"]),
     "two points": ("0,0\n1,1\n", ["bad.csv"], ["bad.csv", "at least 3 points, got 2"]),
     "coincident points": ("x,y\n0,0\n1,1\n0,0\n", ["bad.csv"], ["bad.csv", "lines 2 and 4"]),
     "a huge coordinate": ("0,0\n# far\n1,1e200\n", ["bad.csv"], ["bad.csv, line 3", "1e+09 m"]),

@@ -106,7 +106,7 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("places\nx,y\n0,1\n", 'column "places" is not known'),
         ("x,y\n1_0,2\n", "line 2: not numbers"),
         ("0,1\n1.5,2.5\n", "0,1 may be names or a point; name the columns, x,y, or write 0.0,1.0"),
-        ("# units: km\n1,2\n", 'a comment has the unit "km".* name columns as in x_mm, x_m or'),
+        ("# units: km\n1,2\n", 'a comment has the unit "km".* columns are named as in x_mm or'),
         ("# all in millimetres\n1,2\n", 'a comment has the unit "millimetres"'),
         ("# Kilometers\n1,2\n", 'a comment has the unit "Kilometers"'),
         ("# in thousands of meters\n1,2\n", 'a comment has the unit "thousands"'),

@@ -372,8 +372,11 @@ def test_unusable_picture_is_refused_with_a_reason(tmp_path):
     half.write_bytes(whole[: len(whole) // 2])
     white = picture_file(tmp_path, (9, 9), lambda d: None, name="white.png")
     black = picture_file(tmp_path, (9, 9), lambda d: None, paper=0, name="black.png")
+    animated = tmp_path / "animated.gif"
+    Image.open(white).save(animated, save_all=True, append_images=[Image.open(black)])
     for file, invert, message in (
-        (tmp_path / "none.png", False, "there is no picture"),
+        (tmp_path / "none.png", False, "No such file"),
+        (animated, False, "several pictures; a file with the first alone would do"),
         (broken, False, "cannot be read as a picture"),
         (half, False, "cannot be read as a picture"),
         (white, False, r"no pixel .* is inside.*invert = true"),
@@ -405,7 +408,7 @@ def test_invalid_list_is_refused_with_the_line(tmp_path, content, message):
 
 @pytest.mark.parametrize(
     ("file", "message"),
-    [("none.csv", "there is no file"), ("disc.png", "cannot be read as a list of points")],
+    [("none.csv", "No such file"), ("disc.png", "cannot be read as a list of points")],
 )
 def test_missing_or_unreadable_list_is_refused(tmp_path, file, message):
     disc(tmp_path)

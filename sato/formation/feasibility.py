@@ -90,6 +90,9 @@ def check_messages(mission: "Formation") -> None:
     if abs(steps - whole) > 1e-6 * whole:
         text = f"{rate:g} messages a second do not fall on control steps of {step:g} s"
         raise InputError("radio.rate_hz", f"{text}; {1 / (whole * step):.9g} would do")
+    if mission.assignment.period < (least := mission.frame_period):
+        text = f"{mission.assignment.period:g} is less than an observation takes"
+        raise InputError("assignment.period_s", f"{text}; {least:g} would do")
     if mission.assignment.method == "vsdaa" and mission.timed_link.loses_messages:
         loss, share = mission.timed_link.loss_probability, link.outage_share
         lost = 1 - (1 - loss) * (1 - share)

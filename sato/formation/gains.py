@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from dynamics.callbacks import freeze
 from problems.desired_formation import DesiredFormation
 from problems.gain_design import GainDesignUndecided, GainMethod, NoStabilizingGain, design_gains
 from problems.gain_matrix import GainMatrix
@@ -33,8 +34,7 @@ def _design_once(method: GainMethod, points: bytes, graph: bytes, name: str) -> 
     positions = np.frombuffer(points).reshape(-1, 3)
     adjacency = np.frombuffer(graph, dtype=bool).reshape(len(positions), -1)
     gains = design_gains(DesiredFormation(positions, adjacency, name), method)
-    for part in (gains.xy, gains.z):
-        part.setflags(write=False)
+    freeze([gains.xy, gains.z])
     return gains
 
 

@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from numpy.random import Generator
 from pydantic import BeforeValidator
 
+from dynamics.callbacks import freeze
 from dynamics.inputs import read_array
 from dynamics.units import Length, Unit
 from problems.desired_formation import DesiredFormation
@@ -93,9 +94,7 @@ def _as_pairs(value: Any) -> Array:
     pairs = read_array(value)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu" or pairs.min() < 0:
         raise InputError("", "must be a list of pairs of points, counted from 0")
-    pairs = pairs.astype(int)
-    pairs.setflags(write=False)
-    return pairs
+    return freeze(pairs.astype(int))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

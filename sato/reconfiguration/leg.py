@@ -9,6 +9,7 @@ from annotated_types import Ge, Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from dynamics.callbacks import freeze
 from dynamics.units import Key
 from sato.reconfiguration.start import Start
 from sato.scenario.definition import (
@@ -165,9 +166,7 @@ class Leg(Definition):
 
         Unless the choice is free, every prefix keeps the shape.
         """
-        states = states_of(self.shape)
-        states.flags.writeable = False
-        return states
+        return freeze(states_of(self.shape))
 
     def place(
         self, demand: Amount, axes: Axes, min_distance: Annotated[float, NotNegative] = 0.0

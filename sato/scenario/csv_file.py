@@ -26,6 +26,7 @@ WITH_COMMA = re.compile(r"[+-]?\d+(,\d+)?(e[+-]?\d+)?", re.IGNORECASE | re.ASCII
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}|[+-]?\d+")  # or with a decimal comma
 NAME = re.compile(r"[^\W\d]\w*(\s*[\[(/].*)?")  # one word, perhaps with a unit
 WORDS = re.compile(r"[\s,;|]+")
+COMMENT = re.compile(r"\s*#")
 OTHER_UNIT = re.compile(  # than those of SI, in a comment
     r"\b([hkcdmnµμ]m|(kilo|centi|deci|milli|micro)met(er|re)s?|feet|ft|inch(es)?|yards?|miles?|knots?"
     r"|thousands|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b",
@@ -112,16 +113,15 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     """
     try:
         text = files.read_text(path)
-    except FileNotFoundError as error:
-        raise ValueError(f"there is no file {path}") from error
     except UnicodeDecodeError as error:
         reason = "it is no text in UTF-8; a text saved as UTF-8 would do"
         raise ValueError(f"{path} cannot be read as a list of {content}: {reason}") from error
     except OSError as error:
-        raise ValueError(f"{path} cannot be read as a list of {content}: {error}") from error
+        reason = error.strerror or str(error)
+        raise ValueError(f"{path} cannot be read as a list of {content}: {reason}") from error
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip(" \t,;")]
     told = re.fullmatch(r"\s*sep=(.)\s*", lines[0][1], re.IGNORECASE) if lines else None
-    written = [(n, line) for n, line in lines[bool(told) :] if not _is_comment(line)]
+    written = [(n, line) for n, line in lines[bool(told) :] if not COMMENT.match(line)]
     first = written[0][1] if written else ""
     between = told[1] if told else next((mark for mark in ";\t," if mark in first), " ")
     rows = [(n, _split(line, between)) for n, line in written]
@@ -130,7 +130,7 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
     if not rows:
         raise ValueError(f"{path} lists no {content}")
     width = len(names or rows[0][1])
-    notes = [(n, line.lstrip("# \t")) for n, line in lines if _is_comment(line)]
+    notes = [(n, line.lstrip("# \t")) for n, line in lines if COMMENT.match(line)]
     try:
         for n, note in notes:
             noted = _find_names(note, between, width, units) if n < rows[0][0] else None
@@ -143,9 +143,7 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
                 cure = "a header with x, y and z says which column is which"
                 raise InputError("", f'a comment speaks of "{frame[0]}", and {cure}')
             if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
-                cure = (
-                    "numbers without one are in SI units; name columns as in x_mm, x_m or vx_km_h"
-                )
+                cure = "numbers without one are in SI; columns are named as in x_mm or vx_km_h"
                 raise InputError("", f'a comment has the unit "{unit[0]}", and {cure}')
         return names, _with_points(rows)
     except InputError as error:
@@ -173,10 +171,6 @@ def _find_meaning(names: list[str] | None, units: Units) -> dict[str, tuple[int,
         places = match_columns(names or [], units).items()
         return {name: (place, factor or 1.0) for name, (place, factor) in places}
     return None
-
-
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith("#")
 
 
 def _split(line: str, between: str) -> list[str]:

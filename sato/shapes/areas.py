@@ -142,6 +142,8 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
         check_regular(path)
         with Image.open(path) as image:
             check_size(path, PIXEL_BYTES * image.width * image.height)
+            if getattr(image, "is_animated", False) and image.format != "MPO":  # of cameras
+                raise ValueError("it has several pictures; a file with the first alone would do")
             upright = ImageOps.exif_transpose(image)
             is_deep = upright.mode[0] in "IF"  # more than 8 bits of gray, which Pillow would clip
             if not is_deep:
@@ -154,10 +156,9 @@ def _read_mask(path: Path) -> Bool[Array, "rows columns"]:
             if not is_deep and np.isin(gray, (0, 255)).all():  # even if all are the same
                 return np.asarray(gray == 0)
             return _is_dark(-gray.astype(float) if is_white else gray)
-    except FileNotFoundError as error:
-        raise ValueError(f"there is no picture {path}") from error
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path} cannot be read as a picture: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"{path} cannot be read as a picture: {reason}") from error
 
 
 def _is_dark(gray: Shaped[Array, "rows columns"]) -> Bool[Array, "rows columns"]:
