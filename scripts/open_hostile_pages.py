@@ -385,6 +385,7 @@ class Trials:
                 player = self.out / "player.html"
                 self.use(f"{label}, {field}", lambda: [load([field], text).player(player)])  # noqa: B023
             self.done["fields"] += len(kept) + len(refused)
+            print(f"{label} of {len(texts)}: {self.done.total()} done", file=sys.stderr, flush=True)
 
     def _takes(self, make: Callable[[], Run]) -> bool:
         return not attempt(lambda: [make()._readable_mission] and [])[1]
