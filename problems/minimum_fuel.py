@@ -234,7 +234,7 @@ class OrthonormalRows:
         s, N = C.shape
         if N == 0:
             return cls(np.zeros((0, 0)), np.zeros((s, 0)), np.ones(s), False)
-        if np.linalg.matrix_rank(C) == s:
+        if s == 0 or np.linalg.matrix_rank(C) == s:
             Q, R = np.linalg.qr(C.T)
             return cls(np.ascontiguousarray(Q.T), R.T, np.ones(s), True)
         # Positions and velocities are made comparable before the rank is determined.

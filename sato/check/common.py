@@ -132,10 +132,11 @@ def drop_non_finite(summary: dict[str, Any]) -> dict[str, Any]:
 def check_complete(attributes: Mapping[str, Any], lacking: str = "") -> Promise:
     """Check that a flight was completed, and that nothing is named that its record is lacking."""
     complete, stopped = attributes.get("complete", 1), ""
-    if np.array_equal(complete, 0) or "stopped" in attributes:
+    known = None if isinstance(complete, Array) else complete
+    if known == 0 or "stopped" in attributes:
         reason = attributes.get("stopped", "for an unknown reason")
         stopped = f"the flight was not completed ({reason})"
-    if not any(np.array_equal(complete, known) for known in (0, 1)):
+    if known not in (0, 1):
         lacking = f"the attribute complete is {complete}, neither 0 nor 1"
     reasons = [text for text in (lacking, stopped) if text]
     text = "; ".join(reasons) or "everything was flown and recorded"
