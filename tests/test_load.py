@@ -41,7 +41,7 @@ def count_messages(rounds, graph):
 def test_batched_load_is_that_of_agents_that_send_messages(rng, draw):
     mission, flown = draw(rng), 0
     flights = fly_counted(mission, 1), fly_by_messages(mission, 1)
-    for _, loads, (*_, graph, rounds) in zip(range(40), *flights, strict=False):
+    for _, loads, (*_, graph, rounds) in zip(range(24), *flights, strict=False):
         counted = count_messages(rounds, graph)
         for name, own, expected in zip(Load._fields, loads, counted, strict=True):
             np.testing.assert_array_equal(own, expected, err_msg=f"{name} at {flown}")
