@@ -1,10 +1,11 @@
 """Atmosphere of exponential density that rotates with the Earth, and its drag."""
 
 from dataclasses import dataclass
+from math import inf
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -44,7 +45,7 @@ class Atmosphere:
 
     reference_density: Annotated[float, Ge(0)] = 6.967e-13  # ρ₀ [kg/m³]
     reference_altitude: float = 500e3  # h₀ [m]
-    scale_height: Annotated[float, Gt(0)] = 63.822e3  # H [m]
+    scale_height: Annotated[float, Ge(1e3)] = 63.822e3  # H [m]
     rotation_rate: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
 
     def __post_init__(self) -> None:
@@ -66,12 +67,16 @@ class Atmosphere:
         return cls(density, height * 1e3, scale * 1e3)
 
     def density_at(self, position: Float[Array, "*k 3"]) -> Float[Array, "*k"]:
-        """Return the density [kg/m³] at positions in inertial axes [m]."""
+        """Return the density [kg/m³] at positions in inertial axes [m], outside of the Earth."""
         r = np.sqrt((position * position).sum(axis=-1))
+        if r.min(initial=inf) < EARTH_RADIUS / 2:
+            raise ValueError("position: is inside the Earth, from whose center it is to be taken")
         above = r - (EARTH_RADIUS + self.reference_altitude)
         return np.asarray(self.reference_density * np.exp(-above / self.scale_height))
 
-    def drag_acceleration(self, state: OrbitStates, ballistic_coefficient: Scalars) -> Vectors:
+    def drag_acceleration(
+        self, state: OrbitStates, ballistic_coefficient: Annotated[Scalars, Ge(0)]
+    ) -> Vectors:
         """Return −½ ρ B |v| v, with v the velocity relative to the rotating air [m/s²].
 
         States are inertial positions and velocities [m, m/s], and B = C_D A/m [m²/kg].

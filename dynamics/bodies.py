@@ -7,6 +7,7 @@ from typing import Annotated, Any, NamedTuple
 
 from annotated_types import Ge, Gt, Le
 
+from dynamics.errors import InputError
 from dynamics.units import Length, Unit
 
 # The constants of the Earth are those of [IERS2010, table 1.1].
@@ -18,6 +19,7 @@ Mu = Annotated[float, Unit("m3_s2"), Gt(0)]
 Oblateness = Annotated[float, Unit("m5_s2"), Le(1e40)]
 BodyRadius = Annotated[Length, Ge(0)]  # 0 where it is not known
 FROM_MU: Any = None  # default of what follows from mu
+LEAST_J2 = 1e-9  # of a body, other than 0
 SAME_BODY = 1e-3  # relative difference of two gravitational parameters of one body, at most
 
 
@@ -63,9 +65,15 @@ def complete_gravity(value: Any) -> None:
     body = find_body(mu)
     radius = body.radius if radius is None else radius
     if k is None and body is UNKNOWN:
-        raise ValueError(f"k_J2: {NO_BODY.format(mu)}")
+        raise InputError("k_J2", NO_BODY.format(mu))
     k = oblateness(body.J2, mu, radius or body.radius) if k is None else k
+    if radius and body.radius and not 0.1 < radius / body.radius < 10:
+        reason = f"{radius:.6g} m is far from that of {body.name}, {body.radius:.6g} m"
+        raise InputError("body_radius", f"{reason}; without it that would be taken")
+    if 0 < abs(k) < LEAST_J2 * oblateness(1.0, mu, radius or body.radius):
+        reason = f"{k:.6g} m⁵/s² is of a body rounder than any; it is 3/2 J2 mu R²"
+        raise InputError("k_J2", f"{reason}, {oblateness(body.J2, mu, body.radius):.6g} by the mu")
     if k == oblateness(EARTH_J2, EARTH_MU, EARTH_RADIUS) and body not in (EARTH, UNKNOWN):
-        raise ValueError(f"k_J2: {k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
+        raise InputError("k_J2", f"{k:.6g} m⁵/s² is the Earth's, and mu is that of {body.name}")
     object.__setattr__(value, "k_J2", k)
     object.__setattr__(value, "body_radius", radius)

@@ -40,6 +40,7 @@ OTHER_AXES = re.compile(
     r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
 )
 TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
+OTHER_SUFFIX = re.compile("_(ft|feet|inch|inches|yards?|miles?|kn|knots|kts|kmh|mph)$")
 WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
 
 
@@ -106,6 +107,16 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
     """
     if type(value) in PLAIN:
         return value
+    try:
+        return _read_labels(value, unit, units)
+    except InputError:
+        raise
+    except Exception as error:  # of an object of another package, which only looks like a table
+        reason = f"must be numbers or a table of them, got an object of type {type(value).__name__}"
+        raise InputError("", reason) from error
+
+
+def _read_labels(value: Any, unit: str, units: Units | None) -> Any:
     if hasattr(value, "isel"):
         value = _sort_labels(value, ROW_IN_TIME if unit == "m_s" else ROW_DIMENSION)
     if (table := _split_table(value)) is not None:
@@ -114,13 +125,19 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
         return _stack(*table, units or dict.fromkeys(names, unit))
     numbers, has_unit = _strip(value, unit)
     name = getattr(value, "name", None)
-    spelled = split_unit(name)[1] if isinstance(name, str) else None  # of pandas and xarray
+    spelled = _unit_in(name) if isinstance(name, str) else None  # of pandas and xarray
     if unit and not has_unit and spelled is not None:
         numbers = np.asarray(numbers) * parse_unit(spelled, unit)
     if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):
         cure = "plain numbers, in m and m/s, would do"
         raise InputError("", f"has one unit for positions and velocities; {cure}")
     return numbers
+
+
+def _unit_in(name: str) -> str | None:
+    """Return the unit in a name, as in "R [cm]" or "R_cm"; None where there is none."""
+    match = re.search(r"[\[(]([^\[\]()]*)[\])]\s*$", name) or OTHER_SUFFIX.search(name)
+    return match[1] if match else split_unit(name)[1]
 
 
 def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None]:

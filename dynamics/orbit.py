@@ -202,6 +202,8 @@ def validate_ellipse(
         least = body_radius / (1 - eccentricity)
         body = f"{find_body(mu).name}, whose radius is {body_radius / 1e3:.0f} km"
         cure = f"a semi-major axis above {least / 1e3:.0f} km would do"
+        if least > MAX_AXIS:  # nearly a fall, as of a speed that was given for h
+            cure = "another would do; of a circle h is √(μ r)"
         found = f"the perigee, {perigee / 1e3:.0f} km from the center, is inside {body}"
         raise ValueError(f"{found}; with an eccentricity of {eccentricity:g} {cure}")
 

@@ -176,6 +176,8 @@ def algebraic_connectivity(
     Weights are at most 1, or True for edges. λ₂ of one agent is infinite.
     """
     check_symmetric("weight", weight)
+    if (weight < 0).any():
+        raise InputError("weight", "must not be negative; the weights are no Laplacian")
     is_member = np.ones(weight.shape[:-1], dtype=bool) if members is None else members
     value, vector = np.linalg.eigh(_pad_laplacian(weight, is_member))
     value, second, third = _select_eigenvalues(value, is_member)

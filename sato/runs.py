@@ -353,7 +353,8 @@ def _draw(
         mission = scenario
     rng = np.random.default_rng(seed)
     try:
-        return mission, mission.draw(rng), rng
+        drawn = mission.draw(rng)
+        return mission.without_files(), drawn, rng  # as they are now
     except InputError as error:
         if isinstance(scenario, str | Path):
             raise ScenarioError(f"{scenario}: {error}") from error

@@ -4,7 +4,9 @@ import pickle
 import re
 from dataclasses import replace
 
+import astropy.units as u
 import numpy as np
+import pandas as pd
 import pytest
 from agents import decide, fly_by_messages
 from reconfiguration_runs import (
@@ -373,10 +375,19 @@ def test_target_count_that_is_none_is_refused(count):
         sato.Agent(four()[0], 0, count)
 
 
-@pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, "0", None])
+@pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, "0", None, 1.75e9])
 def test_time_that_is_none_is_refused(time):
     with pytest.raises(ValueError, match="time must be the seconds since the start"):
         as_instant(four()[0], "time", time)
+
+
+def test_agents_take_times_and_states_with_units():
+    mission = four()[0]
+    plain, marked = sato.Agent(mission, 0), sato.Agent(mission, 0)
+    state = np.append(mission.start.positions[0], [0.0, 0.0])
+    row = pd.Series(state[[1, 0, 3, 2]] * [1, 100, 1, 1], index=["y", "x_cm", "vy", "vx"])
+    control, _ = plain.step(0.0, state, [])
+    assert np.array_equal(marked.step(0.0 * u.min, row, [])[0], control)
 
 
 @pytest.mark.parametrize(

@@ -229,3 +229,27 @@ def test_model_of_another_orbit_than_that_of_the_chief_is_refused(kind):
         sato.Reconfiguration(
             model=kind.from_orbit(mars), chief=chief, start=start, legs=legs, step=60.0, **limits
         )
+
+
+@pytest.mark.parametrize(
+    ("slip", "message"),
+    [
+        ({"body_radius": 6378.0}, "body_radius: 6378 m is far from that of the Earth, 6.37814e"),
+        ({"k_J2": 1.0826e-3}, r"k_J2: .* rounder than any; it is 3/2 J2 mu R², 2\.63329e\+25"),
+    ],
+)
+def test_oblateness_that_a_wrong_unit_makes_vanish_is_refused(slip, message):
+    with pytest.raises(sato.InputError, match=message):
+        sato.Orbit.from_elements(6878e3, inclination=0.9, **slip)
+    assert Orbit.from_elements(6878e3, k_J2=0.0).k_J2 == 0
+
+
+def test_air_whose_altitudes_are_in_kilometers_is_refused():
+    with pytest.raises(sato.InputError, match="scale_height_m: must be at least 1000, got 60"):
+        sato.PlantSettings(
+            drag=True, ballistic=0.01, density=7e-13, altitude=500.0, scale_height=60.0
+        )
+    with pytest.raises(ValueError, match="is inside the Earth, from whose center"):
+        Atmosphere().density_at(np.array([100.0, 0.0, 0.0]))
+    with pytest.raises(sato.InputError, match=r"ballistic_coefficient: must be .* at least 0"):
+        Atmosphere().drag_acceleration(np.array([7e6, 0.0, 0.0, 0.0, 7e3, 0.0]), -0.01)

@@ -14,9 +14,11 @@ import pytest
 
 import dynamics
 import sato
+from dynamics import discretize_zoh
 from dynamics.callbacks import CallbackError
 from problems import SolverAdapter, load_adapters
 from sato.connectivity.stick import WaypointStick
+from sato.reconfiguration.own_motion import check_authority
 from sato.scenario.errors import InputError
 
 COUNT = count(1)
@@ -93,6 +95,11 @@ def test_a_plant_that_writes_into_its_states_is_told_so():
 
 def lacking(name, value, **more):
     return type("Own", (Drag,), {name: lambda self, t: value, **more})()
+
+
+def test_controls_of_an_unstable_model_reach_every_state():
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [0.04 * np.eye(2), np.zeros((2, 2))]])
+    check_authority("Own", discretize_zoh(lacking("A", A), 1.0, 151))
 
 
 @pytest.mark.parametrize(

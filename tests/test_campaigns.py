@@ -141,6 +141,33 @@ def test_a_faulty_file_is_refused_in_a_sentence(old, new, said, tmp_path):
     assert not (tmp_path / "out" / tables.TABLE_FILE).exists()
 
 
+def test_campaigns_and_scenarios_are_not_taken_for_each_other(tmp_path):
+    scenario, other = tmp_path / "mine.toml", tmp_path / "many.toml"
+    scenario.write_text(sato.read("conflict").to_toml())
+    other.write_text('[campaign]\nscenario = "mine.toml"\n')
+    with pytest.raises(ScenarioError, match=r"is a scenario, which `sato run .*mine.toml` flies"):
+        read_campaign(scenario)
+    with pytest.raises(
+        ScenarioError, match=r"is a campaign, which .*many.toml` flies"
+    ):
+        sato.read(other)
+
+
+def test_a_grid_may_take_a_key_away(tmp_path):
+    file = tmp_path / "many.toml"
+    grid = '[grid]\n"plan.foresight_steps" = [5, "none"]\n'
+    file.write_text(f'[campaign]\nscenario = "conflict"\ntrials = 1\n{grid}')
+    few, none = (read_campaign(file).trial(row).build_mission() for row in range(2))
+    assert few.foresight_steps == 5
+    assert none.foresight_steps is None
+
+
+def test_a_file_in_place_of_the_folder_of_a_campaign_is_refused(tmp_path):
+    (tmp_path / "there").write_text("mine")
+    with pytest.raises(TableError, match="is a file, and the name of a folder would do"):
+        sato.campaign("conflict", out=tmp_path / "there")
+
+
 def test_a_dead_worker_and_a_time_limit_are_recorded(tmp_path, flown):
     fly_campaign(campaign(time_limit=2.0), tmp_path / "x", workers=2, function=die)
     with open_table(tmp_path / "x") as table:

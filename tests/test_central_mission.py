@@ -70,6 +70,20 @@ def test_given_targets_and_the_objective_are_kept(rng):
     assert central.problem.transfer.objective == "energy"
 
 
+@pytest.mark.parametrize(
+    "more", [{"obstacles": [sato.Sphere((3.0, 9.0), 0.3)]}, {"box": [[-90, -90], [90, 90]]}]
+)
+def test_what_the_optimum_would_not_keep_is_refused(more):
+    start = np.array([[0.0, 0.0], [0.0, 2.0]])
+    limits = {"comm_radius": 20.0, "collision_radius": 0.5, "max_control": 0.2}
+    mission = sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2), start=start, legs=[sato.Leg(start + 6.0, 30)],
+        step=1.0, max_speed=1.0, **limits, **more,
+    )  # fmt: skip
+    with pytest.raises(sato.InputError, match=f"{next(iter(more))}: is no part of the joint"):
+        sato.central_problem(mission)
+
+
 def test_fuel_without_derivatives_is_refused(rng):
     with pytest.raises(ValueError, match="fuel_norm must be 1 or inf in the joint program, got 2"):
         sato.central_problem(mission(MODELS[0], rng, fuel_norm=2))

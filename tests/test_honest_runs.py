@@ -94,3 +94,16 @@ def test_leg_that_is_given_up_contradicts_nothing(monkeypatch):
     assert broken_promises(run) == {"reached"}
     untold = [event for event in run.events() if event["kind"] != "infeasible"]
     assert "legs" in broken_promises(forged(run, untold))
+
+
+def test_a_run_holds_what_the_files_of_its_mission_held(tmp_path):
+    file = tmp_path / "targets.csv"
+    file.write_text("x,y\n0,5\n3,5\n")
+    leg = sato.Leg(sato.Points(file=str(file)), 40)
+    run = sato.run(reconfiguration_runs.make_mission(row(2, 0.0), leg))
+    file.write_text("x,y\n0,6\n3,6\n")
+    assert run.check().kept
+    assert run.drawn_mission.legs[0].targets[:, 1].max() == 5.0
+    file.unlink()
+    run.save(tmp_path / "run")
+    assert sato.load(tmp_path / "run").mission == run.mission

@@ -145,3 +145,10 @@ def test_edges_weigh_one_and_one_agent_is_connected():
     for found, expected in zip(*same, strict=True):
         assert_allclose(found, expected)
     assert algebraic_connectivity(np.zeros((2, 1, 1))).lambda2.tolist() == [np.inf, np.inf]
+
+
+def test_a_laplacian_in_place_of_weights_is_refused():
+    path = np.eye(3, k=1) + np.eye(3, k=-1)
+    assert_allclose(algebraic_connectivity(path).lambda2, 1.0, atol=1e-12)
+    with pytest.raises(ValueError, match="weight: must not be negative; the weights are no Lap"):
+        algebraic_connectivity(np.diag(path.sum(axis=1)) - path)

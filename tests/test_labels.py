@@ -424,8 +424,22 @@ def test_the_unit_in_the_name_of_a_column_is_obeyed_or_refused(kind):
     shared = {"model": sato.DoubleIntegrator(2), "start": [[0.0, 0.0], [3.0, 0.0]], "step": 1.0}
     shared |= {"legs": [sato.Leg([[0.0, 3.0], [3.0, 3.0]], 20)], "comm_radius": 9.0}
     shared |= {"collision_radius": 0.5, "max_speed": 0.5}
-    limits = kind([20.0, 30.0], name="max_control_cm_s2")
-    mission = sato.Reconfiguration(max_control=limits, **shared)
-    assert mission.max_control == pytest.approx((0.2, 0.3), rel=1e-15)
-    with pytest.raises(sato.InputError, match='max_control_m_s2: has the unit "km"'):
-        sato.Reconfiguration(max_control=kind([1.0, 1.0], name="limit_km"), **shared)
+    for name in ("max_control_cm_s2", "a [cm/s2]", "limit (cm/s²)"):
+        mission = sato.Reconfiguration(max_control=kind([20.0, 30.0], name=name), **shared)
+        assert mission.max_control == pytest.approx((0.2, 0.3), rel=1e-15)
+    for name, unit in {"limit_km": "km", "a [g]": "g", "limit_ft": "ft"}.items():
+        with pytest.raises(sato.InputError, match=f'max_control_m_s2: has the unit "{unit}"'):
+            sato.Reconfiguration(max_control=kind([1.0, 1.0], name=name), **shared)
+    order = sato.Reconfiguration(max_control=0.3, priority=kind([1, 0]), **shared).priority
+    assert order == (1, 0)
+
+
+def test_objects_that_only_look_like_tables_are_refused_in_our_words():
+    class Lazy:
+        columns = "x", "y"
+
+        def __getitem__(self, name):
+            raise TypeError("it is not computed yet")
+
+    with pytest.raises(sato.InputError, match=r"numbers or a table of them, got .* type Lazy"):
+        sato.Leg(Lazy(), 20)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import sato
 from sato.connectivity.stick import RecordedStick
@@ -55,6 +56,16 @@ def test_recording_in_milliseconds_or_less_is_refused(scale):
 def test_times_that_do_not_increase_are_refused(times):
     with pytest.raises(ValueError, match=r"times_s"):
         mission_of(times)
+
+
+def test_velocities_with_other_times_as_labels_are_refused():
+    times = np.array([0.0, 0.5])
+    labels = {"time": 2 * times, "axis": ["x", "y", "z"]}
+    velocities = xr.DataArray([AHEAD, STILL], labels, ("time", "axis"))
+    with pytest.raises(sato.InputError, match="velocities_m_s: has other times as labels"):
+        RecordedStick(times, velocities)
+    same = RecordedStick(times, velocities.assign_coords(time=times)[::-1])
+    assert same == RecordedStick(times, np.array([AHEAD, STILL]))
 
 
 def test_empty_recording_is_refused():

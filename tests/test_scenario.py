@@ -449,3 +449,8 @@ def test_tolerance_grows_with_the_disturbance():
     assert shaken.position_tolerance > 100 * calm.position_tolerance
     more, most = (m.position_tolerance - calm.position_tolerance for m in (shaken, worse))
     assert most / more == pytest.approx(10)
+
+
+@pytest.mark.parametrize(("written", "step"), [(".5", 0.5), ("5.e-1", 0.5), ("+.5", 0.5)])
+def test_numbers_without_a_digit_before_or_after_the_point_are_read(written, step):
+    assert read("conflict", [f"plan.step_s={written}"]).step == step

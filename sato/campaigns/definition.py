@@ -294,6 +294,9 @@ def read_campaign(path: Path, **changes: Any) -> Campaign:
     that it cannot be read, or is no campaign.
     """
     data = load_toml(read_text(path), str(path))
+    if "system" in data and "campaign" not in data:
+        reason = f"is a scenario, which `sato run {path}` flies"
+        raise ScenarioError(f'{path}: {reason}; a campaign has it as scenario = "{path.name}"')
     try:
         name, table = data.pop("name"), data.setdefault("campaign", {})
         if isinstance(table, dict):

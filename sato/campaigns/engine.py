@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from dynamics.doors import checked
+from sato.atomic import make_folder
 from sato.campaigns.definition import Campaign, digest
 from sato.campaigns.local import fly_locally
 from sato.campaigns.table import INTERRUPTED, MEASURED, TABLE_FILE, CampaignTable, TableError
@@ -247,7 +248,10 @@ def _connected(scheduler: str | None, workers: int | None) -> Iterator[Callable[
 @contextmanager
 def _only_writer(folder: Path) -> Iterator[None]:
     # A lock of SQLite ends with its process, however that ends, and on every system.
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise TableError(f"{folder}: {error.strerror}") from error
     with closing(sqlite3.connect(folder / LOCK_FILE, timeout=0, isolation_level=None)) as lock:
         try:
             lock.execute("BEGIN EXCLUSIVE")

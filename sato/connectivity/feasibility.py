@@ -69,7 +69,8 @@ def check_sampling(mission: "Connectivity") -> None:
             raise InputError(
                 f"tracking.{terms[:2]}",
                 f"{terms} = {gain:g} /s is unstable at a control step of {step:g} s: an error "
-                f"becomes {1 - gain * step:.3g} times as large in each; {0.2 / step:.3g} would do",
+                f"becomes {1 - gain * step:.3g} times as large in each; "
+                f"{terms} = {0.2 / step:.3g} would do",
             )
     link.require_none(
         round="a round takes every × run.step_s here",

@@ -172,7 +172,8 @@ class Connectivity(Mission):
                 stick.require_command(self.duration)
         with errors_in("obstacles"):
             nearest = self.repulsion.min_distance
-            spheres = self.random_obstacles.draw(start, stick.waypoints, nearest, rng)
+            places = np.zeros((0, 3)) if stick.waypoints is None else stick.waypoints
+            spheres = self.random_obstacles.draw(start, places, nearest, rng)
         return replace(
             posed,
             yaw_error=error,

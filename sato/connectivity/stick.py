@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.callbacks import Callback, as_kind, as_shape
+from dynamics.labels import to_plain
 from dynamics.units import Key, Length, Speed, Time, Unit
 from sato.connectivity.obstacles import Rows
 from sato.scenario.csv_file import read_columns
@@ -100,6 +101,14 @@ class RecordedStick(Stick):
         LATER
     )
     file: Annotated[str | None, "CSV file with rows of time, v_x, v_y, v_z; in s and m/s"] = None
+
+    def __post_init__(self) -> None:
+        """Refuse velocities of xarray whose labels are other times."""
+        coordinates: Any = getattr(self.velocities, "coords", {})
+        labels = to_plain(coordinates["time"], "s") if "time" in coordinates else None
+        super().__post_init__()
+        if labels is not None and not np.array_equal(np.sort(labels), self.times):
+            raise InputError("velocities_m_s", "has other times as labels than times_s; drop one")
 
     def check(self) -> None:
         """Refuse other than one velocity for each of increasing times."""

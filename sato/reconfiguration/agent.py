@@ -8,10 +8,10 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from numpy.typing import ArrayLike
 
 from dynamics.callbacks import freeze
 from dynamics.doors import checked
+from dynamics.units import Time
 from problems.conic import TOLERANCE
 from problems.solvers.verified import VerifiedSolver
 from sato.network.graph import CommunicationGraph
@@ -94,7 +94,7 @@ class Agent:
         mission: Reconfiguration,
         number: int,
         target_count: Amount | None = None,
-        leg_start: float | None = None,
+        leg_start: Time | None = None,
         leg: Leg | None = None,
         commitment: Commitment | None = None,
     ) -> None:
@@ -125,8 +125,8 @@ class Agent:
 
     def step(
         self,
-        time: float,
-        state: ArrayLike,
+        time: Time,
+        state: Any,
         inbox: Sequence[AgentMessage | AgentPacket],
         seen: Sequence[Sensed] = (),
     ) -> tuple[Float[Array, " d"], AgentMessage | AgentPacket | None]:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
-from math import ceil, floor, inf
+from math import ceil, floor
 from typing import Annotated, Any, NamedTuple
 from zlib import crc32
 
@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 from dynamics.doors import checked
 from dynamics.inputs import LARGEST
 from dynamics.labels import STATES, to_plain
+from dynamics.orbit import MAX_TIME
 from sato.network.synchronous_agent import Packet
 from sato.obstacles import Obstacle
 from sato.reconfiguration.leg import Leg
@@ -99,9 +100,10 @@ def as_instant(mission: Reconfiguration, name: str, time: Any) -> int:
     instant has calls at multiples of the round, and the time is that of the nearest of these.
     """
     step, round_time = mission.step, mission.link.round
-    if not isinstance(time, float | int | np.number) or not -MAX_OFF * step <= time < inf:
+    if not isinstance(time, float | int | np.number) or not -MAX_OFF * step <= time <= MAX_TIME:
+        limits = f"between 0 and {MAX_TIME:.0e}"
         raise ValueError(
-            f"{name} must be the seconds since the start of the mission, 0 or more, got {time!r}"
+            f"{name} must be the seconds since the start of the mission, {limits}, got {time!r}"
         )
     before = floor(time / step + INSTANT_PRECISION)
     if 0 < round_time < step:

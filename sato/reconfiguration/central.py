@@ -15,6 +15,7 @@ from problems.convexify import AvoidanceHorizon
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import make_horizon
 from sato.scenario.definition import Seed
+from sato.scenario.errors import InputError
 
 
 class CentralMission(NamedTuple):
@@ -42,8 +43,13 @@ def central_problem(mission: Reconfiguration, seed: Seed = 0) -> CentralMission:
         seed: Random seed, as that of `run`.
 
     Raises:
-        ValueError: It is no reconfiguration, or has fuel in the Euclidean norm.
+        ValueError: It is no reconfiguration, has fuel in the Euclidean norm, or obstacles, a box or
+            passive safety, which the optimum would not keep.
     """
+    asked = {"obstacles": mission.obstacles, "passive_safety": mission.passive_safety}
+    asked |= {"box": mission.box is not None}
+    for key in filter(asked.get, asked):
+        raise InputError(key, "is no part of the joint problem; a mission without would do")
     drawn = mission.draw(np.random.default_rng(seed))
     leg, start = drawn.legs[0], drawn.initial_states[drawn.alive]
     model = drawn.discretize(leg.steps)

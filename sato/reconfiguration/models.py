@@ -7,7 +7,7 @@ from math import pi
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Lt
+from annotated_types import Ge, Lt
 
 from dynamics.atmosphere import Atmosphere
 from dynamics.bodies import EARTH, find_body
@@ -81,7 +81,7 @@ class PlantSettings(Definition):
     altitude: Annotated[
         float | None, Unit("m"), NotNegative, "altitude; the chief's perigee if absent"
     ] = None
-    scale_height: Annotated[float | None, Unit("m"), Positive, "scale height of the air"] = None
+    scale_height: Annotated[float | None, Unit("m"), Ge(1e3), "scale height of the air"] = None
 
     def check(self) -> None:
         """Refuse half a drag."""

@@ -35,6 +35,11 @@ def is_own_model(model: Any) -> bool:
     return isinstance(model, Model) and (is_own(type(model)) or isinstance(model, SymbolicModel))
 
 
+def is_own_plant(plant: Plant) -> bool:
+    """Tell whether the motion that is flown is the user's own."""
+    return is_own(type(plant)) or is_own_model(getattr(plant, "model", None))
+
+
 def check_axes(model: Any) -> None:
     """Refuse a model that is neither of the plane nor of space."""
     axes = getattr(model, "axes", None)
@@ -106,13 +111,20 @@ def _compare_motion(model: LinearModel, times: Any, stacks: Any) -> str:
 
 def check_authority(name: str, model: DiscreteModel) -> None:
     """Refuse a model whose controls do not reach every state."""
-    n, time = model.A.shape[-1], len(model) * model.dt
-    moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
-    sizes = np.linalg.svd(moved, compute_uv=False)
-    count = int((sizes > LEAST_REACH * sizes.max(initial=0.0)).sum())
+    n = model.A.shape[-1]
+    # Of a model that is unstable, the first of many steps hide what the last ones move.
+    count = max(_count_reached(model[-steps:]) for steps in (len(model), n))
     if count < n:
         reason = f"controls move {count} of {n} directions of the state in {len(model)} steps"
         raise InputError("model", f"{name}.B: {reason}; a B that is an acceleration would do")
+
+
+def _count_reached(model: DiscreteModel) -> int:
+    """Count the directions of the state that the controls move in all steps."""
+    time, n = len(model) * model.dt, model.A.shape[-1]
+    moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
+    sizes = np.linalg.svd(moved, compute_uv=False)
+    return int((sizes > LEAST_REACH * sizes.max(initial=0.0)).sum())
 
 
 def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:

@@ -20,6 +20,7 @@ from sato.reconfiguration.estimator import (
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbit import Chief
+from sato.reconfiguration.own_motion import is_own_plant
 from sato.reconfiguration.tracking import MAX_RESERVE, largest_disturbance
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
@@ -96,23 +97,48 @@ def _largest_sigmas(P: Float[Array, "n n"]) -> tuple[float, float]:
 def model_error(mission: Reconfiguration, steps: int) -> float:
     """Compute the largest error of the shared model over some steps [m].
 
-    It is taken from all starts and targets, at nine instants of the mission.
+    It is taken from all starts and targets, at nine instants of the mission, under full control on
+    all axes. Of a motion of the user's own it is also taken on the ways of a transfer and R beside
+    them, and under full control on each axis.
     """
     if mission.flies_model:
         return 0.0
     whole = sum(leg.steps for leg in mission.legs) * mission.step
     states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
-    times = np.linspace(0, whole, 9).tolist()
-    return max(_largest_error(mission, states, t, steps) for t in times)
+    places, directions = [(t, states) for t in np.linspace(0, whole, 9).tolist()], np.ones((1, 1))
+    if is_own_plant(mission.flown_plant):
+        places += _places_on_the_way(mission)
+        directions = np.vstack([np.ones(mission.axes), np.eye(mission.axes)])
+    return max(_largest_error(mission, *place, steps, directions) for place in places)
+
+
+def _places_on_the_way(mission: Reconfiguration) -> list[tuple[float, Float[Array, "k n"]]]:
+    """Return times, and states of agents that fly alone then, and beside these."""
+    d, begin, start = mission.axes, 0.0, mission.initial_states[mission.alive]
+    sides = mission.largest_separation * np.vstack(
+        [np.zeros((1, 2 * d)), np.eye(d, 2 * d), -np.eye(d, 2 * d)]
+    )
+    places = []
+    for leg in mission.legs:
+        paths = _solve_alone(mission, start, leg, begin)
+        for k in range(0, leg.steps + 1, max(leg.steps // 4, 1)) if paths else ():
+            x = np.stack([path.x[k] for path in paths])
+            places.append((begin + k * mission.step, (x[:, None] + sides).reshape(-1, 2 * d)))
+        start, begin = leg.targets, begin + leg.steps * mission.step
+    return places
 
 
 def _largest_error(
-    mission: Reconfiguration, states: Float[Array, "k n"], t: float, steps: int
+    mission: Reconfiguration,
+    t: float,
+    states: Float[Array, "k n"],
+    steps: int,
+    directions: Float[Array, "j #d"],
 ) -> float:
     largest, d = 0.0, mission.axes
-    model = mission.discretize(steps, t)
-    for most in (mission.largest_control, -mission.largest_control):
-        u = np.full((len(states), steps, d), most)
+    model, most = mission.discretize(steps, t), mission.largest_control
+    for control in np.concatenate([directions * most, -directions * most]):
+        u = np.broadcast_to(control, (len(states), steps, d))
         flown = _fly_plant(mission, states, u[:, 0], t, steps * mission.step)
         error = (flown - model.simulate(states, u)[:, -1])[:, :d]
         largest = max(largest, float(np.linalg.norm(error, axis=1).max()))

@@ -239,7 +239,8 @@ class Field:
 
     def _check_plain(self, value: Any) -> Any:
         is_list = get_origin(self.hint) is tuple or Array in self.others
-        value = (to_plain if self.unit or is_list else to_si)(value, self.unit)
+        is_labeled = self.unit or is_list or {"to_numpy", "__len__"} <= set(dir(value))
+        value = (to_plain if is_labeled else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, PathLike) and self.name == "file":
@@ -260,7 +261,8 @@ class Field:
         allowed = self.variants + self.others
         if not isinstance(value, allowed):
             names = join_names(kind.__name__ for kind in allowed)
-            raise InputError("", f"must be {names}, got {type(value).__name__}")
+            modules = join_names(sorted({kind.__module__ for kind in allowed}), "and")
+            raise InputError("", f"must be {names} of {modules}, got {type(value).__name__}")
         if not is_named_tuple(type(value)):
             return value
         return type(value)(*[f.check(getattr(value, f.name)) for f in fields_of(type(value))])

@@ -160,6 +160,8 @@ def parse(
         ScenarioError: It is no TOML, of no known system, or cannot be flown as it stands.
     """
     data = load_toml(text, source)
+    if "campaign" in data and "system" not in data:
+        raise ScenarioError(f"{source}: is a campaign, which `sato campaign run {source}` flies")
     try:
         return from_dict(data, overrides, folder=folder)
     except InputError as error:

@@ -1,6 +1,7 @@
 """`--set table.key=value`: change a scenario before it is checked."""
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
@@ -13,6 +14,7 @@ from sato.scenario.definition import Field, fields_of
 from sato.scenario.errors import InputError, format_value, join_names
 from sato.scenario.table import Entry, choose, find_key, layout, unknown_key
 
+NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 NONE = object()  # value that takes a key away, unless the key has a value "none"
 Path = tuple[str | int, ...]
 
@@ -33,6 +35,12 @@ class Spot(NamedTuple):
         """Tell whether "none" is one of the values that a key may have."""
         entry = self.entries[str(find_key(key, self.entries))]
         return entry is not None and "none" in get_args(entry.field.hint)
+
+    def takes_text(self, key: str) -> bool:
+        """Tell whether any text is a value that a key may have, or "none" is."""
+        entry = self.entries[str(find_key(key, self.entries))]
+        is_text = entry is not None and str in (entry.field.hint, *get_args(entry.field.hint))
+        return entry is None or is_text or self.takes_none(key)
 
     def address(self, key: str) -> str:
         """Return the key with its tables, without the numbers of lists."""
@@ -88,6 +96,8 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
             del spot.data[old]
         if value is None or (value is NONE and not spot.takes_none(key)):
             continue
+        if isinstance(value, str) and value == "none" and not spot.takes_text(key):
+            continue  # of a campaign, whose file has no other word for it
         table: Any = data
         for part in spot.path:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
@@ -186,6 +196,8 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
 def _parse_value(written: str) -> Any:
     if written == "none":  # in quotes it is a text
         return NONE
+    if NUMBER.fullmatch(written):  # which TOML wants with a zero
+        return float(written)
     try:
         parsed = tomllib.loads(f"value = {written}")
     except (ValueError, RecursionError):
