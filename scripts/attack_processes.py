@@ -353,7 +353,7 @@ def feed(count: int, seed: int) -> int:
     """Feed envelopes that are forged from those of a flight to its ends; return those accepted."""
     rng, vehicles, kinds, accepted = random.Random(seed), 3, Counter[str](), Counter[str]()
     key, other = rng.randbytes(32), rng.randbytes(32)
-    member = Membership(key, "", vehicles, 0)
+    member = Membership(key, "", vehicles)
     ends = {i: Envelopes(key, i, 1, [WORLD]) for i in range(vehicles)}
     ends[WORLD] = Envelopes(key, WORLD, 1, range(vehicles))
     heard = deque[Forged](maxlen=1000)
