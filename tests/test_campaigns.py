@@ -147,9 +147,7 @@ def test_campaigns_and_scenarios_are_not_taken_for_each_other(tmp_path):
     other.write_text('[campaign]\nscenario = "mine.toml"\n')
     with pytest.raises(ScenarioError, match=r"is a scenario, which `sato run .*mine.toml` flies"):
         read_campaign(scenario)
-    with pytest.raises(
-        ScenarioError, match=r"is a campaign, which .*many.toml` flies"
-    ):
+    with pytest.raises(ScenarioError, match=r"is a campaign, which .*many.toml` flies"):
         sato.read(other)
 
 

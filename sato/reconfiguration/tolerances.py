@@ -1,5 +1,6 @@
 """Errors of a wrong model and of noise, and the margins and tolerances that follow from them."""
 
+from collections.abc import Iterator
 from math import ceil, sqrt
 
 import numpy as np
@@ -112,20 +113,14 @@ def model_error(mission: Reconfiguration, steps: int) -> float:
     return max(_largest_error(mission, *place, steps, directions) for place in places)
 
 
-def _places_on_the_way(mission: Reconfiguration) -> list[tuple[float, Float[Array, "k n"]]]:
-    """Return times, and states of agents that fly alone then, and beside these."""
-    d, begin, start = mission.axes, 0.0, mission.initial_states[mission.alive]
-    sides = mission.largest_separation * np.vstack(
-        [np.zeros((1, 2 * d)), np.eye(d, 2 * d), -np.eye(d, 2 * d)]
-    )
-    places = []
-    for leg in mission.legs:
-        paths = _solve_alone(mission, start, leg, begin)
-        for k in range(0, leg.steps + 1, max(leg.steps // 4, 1)) if paths else ():
+def _places_on_the_way(mission: Reconfiguration) -> Iterator[tuple[float, Float[Array, "k n"]]]:
+    """Yield times, and states of agents that fly alone then, and beside these."""
+    n, step = 2 * mission.axes, mission.step
+    side = mission.largest_separation * np.eye(mission.axes, n)
+    for begin, leg, paths in _fly_alone(mission):
+        for k in range(0, leg.steps + 1, max(leg.steps // 4, 1)):
             x = np.stack([path.x[k] for path in paths])
-            places.append((begin + k * mission.step, (x[:, None] + sides).reshape(-1, 2 * d)))
-        start, begin = leg.targets, begin + leg.steps * mission.step
-    return places
+            yield begin + k * step, np.concatenate([x, *(x + s for s in (*side, *-side))])
 
 
 def _largest_error(
@@ -166,16 +161,23 @@ def model_error_on_arrival(mission: Reconfiguration) -> tuple[float, float]:
     since then, in the trajectories of the assignment of least energy, without regard to others,
     when a leg ends as planned or up to a whole leg later. Twice, for those who give way.
     """
-    worst, begin, start = np.zeros(2), 0.0, mission.initial_states[mission.alive]
-    for leg in () if mission.flies_model else mission.legs:
-        if paths := _solve_alone(mission, start, leg, begin):
-            steps = min(leg.steps, _uncorrected_steps(mission, paths))
-            for late in (0.0, 0.5, 1.0):
-                t = begin + ((1 + late) * leg.steps - steps) * mission.step
-                error = _errors_along(mission, paths, steps, t).reshape(-1, 2, mission.axes)
-                worst = np.maximum(worst, 2 * np.linalg.norm(error, axis=2).max(axis=0))
-        start, begin = leg.targets, begin + leg.steps * mission.step
+    worst = np.zeros(2)
+    for begin, leg, paths in () if mission.flies_model else _fly_alone(mission):
+        steps = min(leg.steps, _uncorrected_steps(mission, paths))
+        for late in (0.0, 0.5, 1.0):
+            t = begin + ((1 + late) * leg.steps - steps) * mission.step
+            error = _errors_along(mission, paths, steps, t).reshape(-1, 2, mission.axes)
+            worst = np.maximum(worst, 2 * np.linalg.norm(error, axis=2).max(axis=0))
     return float(worst[0]), float(worst[1])
+
+
+def _fly_alone(mission: Reconfiguration) -> Iterator[tuple[float, Leg, list[Trajectory]]]:
+    """Yield the begin [s] of each leg, and the transfers of an assignment, where there are any."""
+    begin, start = 0.0, mission.initial_states[mission.alive]
+    for leg in mission.legs:
+        if paths := _solve_alone(mission, start, leg, begin):
+            yield begin, leg, paths
+        start, begin = leg.targets, begin + leg.steps * mission.step
 
 
 def _solve_alone(

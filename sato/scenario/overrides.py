@@ -31,16 +31,11 @@ class Spot(NamedTuple):
         name = find_key(key, self.entries)
         return [old for old in self.data if find_key(old, self.entries) == name]
 
-    def takes_none(self, key: str) -> bool:
-        """Tell whether "none" is one of the values that a key may have."""
+    def takes_none(self, key: str, is_text: bool) -> bool:
+        """Tell whether "none" is a value of a key, or any text is, if it is given as one."""
         entry = self.entries[str(find_key(key, self.entries))]
-        return entry is not None and "none" in get_args(entry.field.hint)
-
-    def takes_text(self, key: str) -> bool:
-        """Tell whether any text is a value that a key may have, or "none" is."""
-        entry = self.entries[str(find_key(key, self.entries))]
-        is_text = entry is not None and str in (entry.field.hint, *get_args(entry.field.hint))
-        return entry is None or is_text or self.takes_none(key)
+        kinds = () if entry is None else (entry.field.hint, *get_args(entry.field.hint))
+        return "none" in kinds or (is_text and (entry is None or str in kinds))
 
     def address(self, key: str) -> str:
         """Return the key with its tables, without the numbers of lists."""
@@ -94,10 +89,10 @@ def override(data: dict[str, Any], setting: Setting, definition: Any) -> str:
     for spot in holders:
         for old in spot.same_keys(key):
             del spot.data[old]
-        if value is None or (value is NONE and not spot.takes_none(key)):
+        is_text = isinstance(value, str) and value == "none"  # the word of a campaign's file
+        is_none = value is NONE or is_text
+        if value is None or (is_none and not spot.takes_none(key, is_text)):
             continue
-        if isinstance(value, str) and value == "none" and not spot.takes_text(key):
-            continue  # of a campaign, whose file has no other word for it
         table: Any = data
         for part in spot.path:
             table = table.setdefault(part, {}) if isinstance(part, str) else table[part]
