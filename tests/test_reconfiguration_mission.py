@@ -268,7 +268,7 @@ def test_bad_arrays_are_refused_with_the_field_and_the_reason(array, reason):
         ({"legs": Leg(Ring(radius=9), 9, 2, choose="nearest")}, "leg.0.targets: 2 is less than"),
         ({"comm_radius": "20"}, "swarm.comm_radius_m: must be a number"),
         ({"model": "double_integrator"}, "model: must be PointMass, OrbitalModel, LinearModel"),
-        ({"legs": START}, "leg.0: must be Leg, got ndarray"),
+        ({"legs": START}, "leg.0: must be Leg of sato.reconfiguration.leg, got ndarray"),
     ],
 )  # fmt: skip
 def test_mission_that_cannot_be_flown_is_refused_by_its_field(changes, message):
