@@ -135,8 +135,8 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
         t: Time at that position [s].
 
     Raises:
-        ValueError: A position has z ≠ 0 while the chief is near |θ| = 90°, where no
-            velocity gives equal inclinations.
+        ValueError: A position has z ≠ 0 while the chief is near |θ| = 90°, where no velocity gives
+            equal inclinations, or is so far away that none gives equal energies.
     """
     chief = orbit.elements_at(t)
     r, v_x, h, _, _, theta = chief
@@ -157,7 +157,11 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
     speed2 = 2 * (energy - _potential(position + center, pole, orbit))
     radial = v_x + v[..., 0] - rates.omega_z * y
     normal = v[..., 2] + rates.omega_x * y
-    transverse = np.sqrt(speed2 - radial**2 - normal**2)
+    if ((left := speed2 - radial**2 - normal**2) < 0).any():
+        farthest = float(np.sqrt((position * position).sum(axis=-1)).max())
+        reason = f"no orbit through it, {farthest:.6g} m away, has the energy of the chief"
+        raise ValueError(f"position: {reason}; positions relative to the chief would do")
+    transverse = np.sqrt(left)
     v[..., 1] = transverse - rates.omega_z * x + rates.omega_x * z - h / r
     return v
 

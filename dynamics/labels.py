@@ -41,6 +41,7 @@ OTHER_AXES = re.compile(
 )
 TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
 OTHER_SUFFIX = re.compile("_(ft|feet|inch|inches|yards?|miles?|kn|knots|kts|kmh|mph)$")
+VALUES = "its values in the order of this library"
 WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
 
 
@@ -241,7 +242,7 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
         dims = join_names(map(str, value.dims), "and")
         cure = '"agent" or "row"' if is_dataset else '"agent" or "row", and "axis",'
         if len(value.dims) > 2:
-            cure = "its values in the order of this library"
+            cure = "an instant of it, as value.isel(time=-1)," if "time" in value.dims else VALUES
         raise InputError("", f"has dimensions {dims}; {cure} would do")
     return value.transpose(..., *axes)
 

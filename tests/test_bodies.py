@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import sato
-from dynamics import Atmosphere, InertialPlant, NonlinearPlant, propagate
+from dynamics import Atmosphere, InertialPlant, NonlinearPlant, invariant_velocity, propagate
 from dynamics.bodies import BODIES, EARTH_J2, find_body
 from dynamics.forces import Forces
 from dynamics.orbit import K_J2, Orbit
@@ -253,3 +253,24 @@ def test_air_whose_altitudes_are_in_kilometers_is_refused():
         Atmosphere().density_at(np.array([100.0, 0.0, 0.0]))
     with pytest.raises(sato.InputError, match=r"ballistic_coefficient: must be .* at least 0"):
         Atmosphere().drag_acceleration(np.array([7e6, 0.0, 0.0, 0.0, 7e3, 0.0]), -0.01)
+
+
+def test_model_about_another_place_of_the_same_ellipse_is_refused():
+    here = sato.Orbit.from_elements(8600e3, 0.2, 0.8)
+    there = sato.Orbit.from_elements(8600e3, 0.2, 0.8, true_anomaly=3.0)
+    start = np.array([[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
+    limits = {"comm_radius": 3e3, "collision_radius": 10.0, "max_control": 0.01, "max_speed": 4.0}
+    legs = [sato.Leg(start - [0.0, 60.0, 0.0], 30)]
+    for model in (sato.J2(there), sato.TschaunerHempel(there)):
+        with pytest.raises(
+            sato.InputError, match=r"model: is about an orbit 1\.71.*km from the chief"
+        ):
+            sato.Reconfiguration(
+                model=model, chief=here, start=start, legs=legs, step=60.0, **limits
+            )
+
+
+def test_no_invariant_orbit_passes_beyond_the_reach_of_its_energy():
+    orbit = sato.Orbit.from_elements(6878e3, inclination=0.8)
+    with pytest.raises(ValueError, match=r"position: no orbit through it, 7e[+]06 m away, has the"):
+        invariant_velocity(orbit, np.array([[7e6, 0.0, 0.0]]))

@@ -97,6 +97,38 @@ def lacking(name, value, **more):
     return type("Own", (Drag,), {name: lambda self, t: value, **more})()
 
 
+@pytest.mark.parametrize(
+    "wind",
+    [lambda t: 3 <= t <= 5, lambda t: np.sin(2 * np.pi * t), lambda t: np.sin(4 * np.pi * t)],
+)
+def test_forces_that_change_between_steps_are_not_time_invariant(wind):
+    z = {"z": lambda self, t: np.array([0.0, 0.0, 0.05 * wind(t), 0.0])}
+    model = type("Own", (Drag,), z | {"is_time_invariant": True})()
+    with pytest.raises(InputError, match="z changes with time; is_time_invariant = False would"):
+        sato.run(mission(model=model))
+
+
+class Failing(sato.Plant):
+    """A motion whose second motor fails after 5 s."""
+
+    def propagate(self, x, u, t, dt, substeps=1):
+        left = u * [[1.0], [t < 5]]
+        h = dt * np.arange(substeps + 1)[:, None, None] / substeps
+        place, speed = x[:, :2], x[:, 2:]
+        return np.concatenate([place + h * speed + h**2 / 2 * left, speed + h * left], axis=2)
+
+
+def test_tolerances_in_which_all_arrives_are_doubted():
+    start, goal = [[0.0, 0.0], [3.0, 0.0]], [[0.0, 3.0], [3.0, 3.0]]
+    limits = {"collision_radius": 0.5, "max_control": 0.2, "max_speed": 1.0, "comm_radius": 20.0}
+    flown = sato.Reconfiguration(
+        model=sato.DoubleIntegrator(2), start=start, legs=[sato.Leg(goal, 14)], step=1.0,
+        plant=Failing(), **limits,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match=r"the plant does otherwise .* who passes by has"):
+        sato.run(flown)
+
+
 def test_controls_of_an_unstable_model_reach_every_state():
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [0.04 * np.eye(2), np.zeros((2, 2))]])
     check_authority("Own", discretize_zoh(lacking("A", A), 1.0, 151))

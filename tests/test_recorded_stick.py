@@ -84,6 +84,11 @@ def test_recording_that_ends_at_rest_before_the_flight_is_refused():
         mission_of([-9.0, -4.0, -1.0]).draw(np.random.default_rng(0))
 
 
+def test_recording_that_ends_within_two_steps_is_doubted():
+    [doubt] = mission_of([0.0, 1 / 3600]).draw(np.random.default_rng(0)).warnings()
+    assert "takes 0.000278 s, and a step of the flight 0.02 s; are the times in s?" in doubt
+
+
 @pytest.mark.parametrize(("times", "is_doubted"), [([0, 500, 900], True), ([0, 1, 2.5], False)])
 def test_recording_of_which_most_comes_after_the_flight_is_doubted(times, is_doubted):
     doubts = mission_of(times).draw(np.random.default_rng(0)).warnings()

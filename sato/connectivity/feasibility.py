@@ -185,7 +185,7 @@ def doubts(mission: "Connectivity") -> list[str]:
     steps, unit = mission.duration / mission.step, "; are run.step_s and run.duration_s in s?"
     found = doubt_long("run", steps, mission.step, f"as it says{unit}", MANY_SHORT_STEPS)
     if isinstance(mission.stick, RecordedStick):
-        found += mission.stick.doubt_end(mission.duration)
+        found += mission.stick.doubt_end(mission.duration, mission.step)
     if (rate := mission.limits.yaw_rate) > FAST_TURN:
         turns = f"{rate / 2 / pi:.3g} turns a second; is it in rad/s?"
         found.append(f"limits.turn_rad_s = {rate:g} is {turns}")

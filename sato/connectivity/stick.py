@@ -148,8 +148,11 @@ class RecordedStick(Stick):
                 f"times that are less by {first:.10g}, or a longer run.duration_s, would do",
             )
 
-    def doubt_end(self, duration: float) -> list[str]:
-        """Say where a command goes on after a drawn recording, or most come after the flight."""
+    def doubt_end(self, duration: float, step: float) -> list[str]:
+        """Say where a command goes on after a drawn recording, or most come elsewhere."""
+        if len(self.times) > 1 and (lasting := np.ptp(self.times)) < 2 * step:
+            steps = f"{lasting:.3g} s, and a step of the flight {step:g} s"
+            return [f"the stick's recording takes {steps}; are the times in s?"]
         flown = int((self.times < duration).sum())
         if 2 * flown <= len(self.times):
             return [

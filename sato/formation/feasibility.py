@@ -46,6 +46,9 @@ def duration_doubts(mission: "Formation") -> list[str]:
     if (fastest := max(speeds, default=0.0)) > mission.max_speed:
         limit = f"control.max_speed_m_s = {mission.max_speed:g} is all that it is given"
         found.append(f"a push asks for {fastest:g} m/s, and {limit}")
+    if (round_time := 1 / mission.radio.message_rate) > mission.assignment.period:
+        others = f"auctions are held every {mission.assignment.period:g} s"
+        found.append(f"a round of messages takes {round_time:g} s, and {others}")
     steps = (longest + hovering) / step
     return found + doubt_long("a flight", steps, step, reason, MANY_SHORT_STEPS)
 

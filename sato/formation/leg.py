@@ -133,11 +133,14 @@ def _as_formation(value: Any) -> Any:
 def _as_graph(value: Any) -> Any:
     if isinstance(value, str):
         return NamedGraph(value)  # type: ignore[arg-type]
+    value = value.to_numpy() if hasattr(value, "to_numpy") else value  # of pandas
     if not isinstance(value, list | tuple | Array):
         return value
     array = read_array(value, "biu")
-    if array.dtype != bool:
+    is_matrix = array.ndim == 2 and array.shape[1] != 2 and ((array == 0) | (array == 1)).all()
+    if array.dtype != bool and not is_matrix:
         return EdgeList(array)
+    array = array.astype(bool)
     is_square = array.ndim == 2 and array.shape[0] == array.shape[1]
     if not is_square or (array != array.T).any() or array.trace():
         raise InputError("", "must be a symmetric matrix of True and False, without loops")

@@ -140,6 +140,7 @@ def find_fault(
         near = np.flatnonzero(away < needed)
         if len(near):
             i = int(near[0])
-            found = f"{names[i]} {away[i]:.8g} m from obstacle {number}, a {obstacle.kind}"
+            article = "an" if obstacle.kind[0] in "aeiou" else "a"
+            found = f"{names[i]} {away[i]:.8g} m from obstacle {number}, {article} {obstacle.kind}"
             return f"{found}, and has to keep {needed[i]:.8g} m"
     return None

@@ -106,6 +106,7 @@ class Reconfiguration(PlannedLimits):
         from sato.reconfiguration import tolerances
 
         doubts = feasibility.list_doubts(self) + link_feasibility.list_doubts(self)
+        doubts += tolerances.arrival_doubts(self)
         if self.tracking is not None:
             return doubts + tolerances.tracking_doubts(self)
         if self.chief is None or self.nonlinear_model is not None or self.flies_model:

@@ -12,6 +12,7 @@ from annotated_types import Ge, Lt
 from dynamics.atmosphere import Atmosphere
 from dynamics.bodies import EARTH, find_body
 from dynamics.circular_orbit import CircularOrbitModel, ClohessyWiltshire, SchweighartSedwick
+from dynamics.coordinate_frames import inertial_state
 from dynamics.discretize import DiscreteModel, discretize_zoh, have_equal_steps
 from dynamics.doors import check_methods
 from dynamics.double_integrator import DoubleIntegrator
@@ -213,6 +214,11 @@ def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Pl
         if period is not None and abs(orbit.period / period - 1) > OTHER_N:
             reason = f"has a period of {period:.5g} s, and the chief {orbit.period:.5g} s"
             raise InputError(name, f"{reason}; one orbit for both, or a mission without the chief")
+        if isinstance(about, Orbit):
+            here, there = (inertial_state(np.array(o.initial_elements)) for o in (orbit, about))
+            if (gap := np.linalg.norm((there - here)[:3])) > OTHER_N * orbit.r:
+                reason = f"is about an orbit {gap / 1e3:.4g} km from the chief at time 0"
+                raise InputError(name, f"{reason}; one orbit for both would do")
     if isinstance(plant, Plant):
         return
     if chief is None and (plant.kind == "inertial" or plant.drag):

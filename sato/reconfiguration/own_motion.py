@@ -22,6 +22,7 @@ from sato.scenario.errors import InputError, round_down
 ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
 DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
 OFF_START = 1.37e-3  # as DIFFERENCE, from the starts to where a Jacobian is tried
+BETWEEN = np.sqrt([0.013, 0.047, 0.11, 0.19, 0.31, 0.43, 0.57, 0.71, 0.87])  # of a flight
 SAME_MOTION = 1e-6  # relative difference of accelerations, or their matrices
 SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
 MAX_TRIED = 8  # agents from whose states a Jacobian is tried
@@ -58,7 +59,8 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
     for key, part in (("model", model), ("plant", inner)):
         if is_own_model(part):
             try:
-                _check_model(part, step, np.unique([0.0, step, step * (steps // 2), step * steps]))
+                ends = [0.0, step, step * (steps // 2), step * steps]
+                _check_model(part, step, np.unique([*ends, *(step * steps * BETWEEN)]))
             except InputError as error:
                 raise error.inside(key) from error
     orbit = plant.chief_orbit if isinstance(plant, Plant) else None

@@ -306,7 +306,7 @@ def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
     agent's own trajectory is exact to first order everywhere, and a model that flies itself
     has no error.
     """
-    kind = getattr(mission.model, "kind", "")
+    kind = getattr(mission.model, "kind", type(mission.model).__name__)
     start, steps = mission.initial_states[mission.alive], mission.legs[0].steps
     T = steps * mission.step
     free = np.zeros((len(start), steps, mission.axes))
@@ -322,6 +322,19 @@ def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
         f"{kind} is wrong by {error[i]:.3g} m after {T:g} s of free flight for agent {i}, "
         f"which starts {away:.4g} m from the chief: more than a tenth of the collision radius of "
         f"{mission.least_separation:g} m; {cure} would do"
+    ]
+
+
+def arrival_doubts(mission: Reconfiguration) -> list[str]:
+    """List the doubt about tolerances, of a plant of the user's own, in which all arrives."""
+    place, speed = mission.position_tolerance, mission.velocity_tolerance
+    if not is_own_plant(mission.flown_plant) or mission.flies_model:
+        return []
+    if max(place, speed * mission.step) <= mission.least_separation / 2:
+        return []
+    return [
+        f"targets count as reached within {place:.3g} m and {speed:.3g} m/s, as the plant does "
+        "otherwise than the model: who passes by has arrived; a model that is nearer to it would do"
     ]
 
 

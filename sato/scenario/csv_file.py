@@ -100,7 +100,7 @@ def _read_numbers(
         if len(cells) != width:
             raise ValueError(f"{where}: {width} columns are needed, got {len(cells)}")
         if not all(map(NUMBER.fullmatch, cells)):
-            hint = f"a first line may name the columns, {','.join(units)}"
+            hint = f"a first line may name the columns, {','.join(units)}, or x_km"
             raise ValueError(f"{where}: not numbers: {', '.join(cells)} ({hint})")
     values = np.array([cells for _, cells in rows]).astype(float)
     return values, np.array([line for line, _ in rows])

@@ -262,7 +262,8 @@ class Field:
         if not isinstance(value, allowed):
             names = join_names(kind.__name__ for kind in allowed)
             modules = join_names(sorted({kind.__module__ for kind in allowed}), "and")
-            raise InputError("", f"must be {names} of {modules}, got {type(value).__name__}")
+            got = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+            raise InputError("", f"must be {names} of {modules}, got {got}")
         if not is_named_tuple(type(value)):
             return value
         return type(value)(*[f.check(getattr(value, f.name)) for f in fields_of(type(value))])
