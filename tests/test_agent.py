@@ -182,6 +182,7 @@ MISSIONS = [disturbed, disconnected, varying, hurried, orbiting, given, warm_sta
 OTHERS = [crowded, exchanged, packed, surrounded, crowd_in_the_way, drifting, wreck_in_the_way]
 
 
+@pytest.mark.filterwarnings("ignore:the plant does otherwise than the model")  # in wind
 @pytest.mark.parametrize("draw", [*MISSIONS, *OTHERS])
 def test_agents_fly_as_the_loop_does(rng, draw):
     mission = draw(rng)
@@ -233,6 +234,7 @@ def equal_bids(message, price, winner):
     return np.array_equal(bids.winner, winner) and np.allclose(bids.price, price, 0, ROUNDING)
 
 
+@pytest.mark.filterwarnings("ignore:the plant does otherwise than the model")  # in wind
 @pytest.mark.parametrize("draw", MISSIONS)
 def test_agents_send_the_messages_that_batched_rounds_compute(rng, draw, monkeypatch):
     mission, auctions, exchanges = draw(rng), [], []

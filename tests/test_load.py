@@ -37,6 +37,7 @@ def count_messages(rounds, graph):
     return Load(*found)
 
 
+@pytest.mark.filterwarnings("ignore:the plant does otherwise than the model")  # in wind
 @pytest.mark.parametrize("draw", [*MISSIONS, *OTHERS])
 def test_batched_load_is_that_of_agents_that_send_messages(rng, draw):
     mission, flown = draw(rng), 0

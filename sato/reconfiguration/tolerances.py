@@ -326,15 +326,15 @@ def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
 
 
 def arrival_doubts(mission: Reconfiguration) -> list[str]:
-    """List the doubt about tolerances, of a plant of the user's own, in which all arrives."""
-    place, speed = mission.position_tolerance, mission.velocity_tolerance
+    """List the doubt about a plant of the user's own, for whose errors all would arrive."""
     if not is_own_plant(mission.flown_plant) or mission.flies_model:
         return []
+    place, speed = model_error_on_arrival(mission)
     if max(place, speed * mission.step) <= mission.least_separation / 2:
         return []
     return [
-        f"targets count as reached within {place:.3g} m and {speed:.3g} m/s, as the plant does "
-        "otherwise than the model: who passes by has arrived; a model that is nearer to it would do"
+        f"the plant does otherwise than the model, by {place:.3g} m and {speed:.3g} m/s on "
+        "arrival: within such tolerances who passes by has arrived; a nearer model would do"
     ]
 
 
