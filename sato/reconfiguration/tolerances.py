@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
-from dynamics.plant import NonlinearPlant
+from dynamics.plant import NonlinearPlant, Plant
 from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
@@ -99,18 +99,20 @@ def model_error(mission: Reconfiguration, steps: int) -> float:
     """Compute the largest error of the shared model over some steps [m].
 
     It is taken from all starts and targets, at nine instants of the mission, under full control on
-    all axes. Of a motion of the user's own it is also taken on the ways of a transfer and R beside
+    all axes. Of a plant of the user's own it is also taken on the ways of transfers and R beside
     them, and under full control on each axis.
     """
     if mission.flies_model:
         return 0.0
-    whole = sum(leg.steps for leg in mission.legs) * mission.step
+    whole, full = sum(leg.steps for leg in mission.legs) * mission.step, np.ones((1, mission.axes))
     states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
-    places, directions = [(t, states) for t in np.linspace(0, whole, 9).tolist()], np.ones((1, 1))
-    if is_own_plant(mission.flown_plant):
-        places += _places_on_the_way(mission)
-        directions = np.vstack([np.ones(mission.axes), np.eye(mission.axes)])
-    return max(_largest_error(mission, *place, steps, directions) for place in places)
+    times = np.linspace(0, whole, 9).tolist()
+    errors = [_largest_error(mission, t, states, steps, full) for t in times]
+    if isinstance(mission.plant, Plant) and is_own_plant(mission.plant):
+        each = np.vstack([full, np.eye(mission.axes)])
+        places = _places_on_the_way(mission)
+        errors += [_largest_error(mission, t, states, steps, each) for t, states in places]
+    return max(errors)
 
 
 def _places_on_the_way(mission: Reconfiguration) -> Iterator[tuple[float, Float[Array, "k n"]]]:
@@ -118,7 +120,7 @@ def _places_on_the_way(mission: Reconfiguration) -> Iterator[tuple[float, Float[
     n, step = 2 * mission.axes, mission.step
     side = mission.largest_separation * np.eye(mission.axes, n)
     for begin, leg, paths in _fly_alone(mission):
-        for k in range(0, leg.steps + 1, max(leg.steps // 4, 1)):
+        for k in sorted({leg.steps // 4, leg.steps // 2, 3 * leg.steps // 4}):
             x = np.stack([path.x[k] for path in paths])
             yield begin + k * step, np.concatenate([x, *(x + s for s in (*side, *-side))])
 
@@ -327,7 +329,10 @@ def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
 
 def arrival_doubts(mission: Reconfiguration) -> list[str]:
     """List the doubt about a plant of the user's own, for whose errors all would arrive."""
-    if not is_own_plant(mission.flown_plant) or mission.flies_model:
+    if (
+        not (isinstance(mission.plant, Plant) and is_own_plant(mission.plant))
+        or mission.flies_model
+    ):
         return []
     place, speed = model_error_on_arrival(mission)
     if max(place, speed * mission.step) <= mission.least_separation / 2:
