@@ -1,6 +1,7 @@
 """Evasion: ways out of what moves, alone and together with those in the way."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,7 +39,8 @@ def test_crowd_without_evasion_is_hit(monkeypatch):
     assert run.summary["min_obstacle_distance_m"] < 0.9 * R
 
 
-def record_evasions(monkeypatch):
+@cache
+def record_evasions():
     """Fly a crowd; return the arguments of each evasion, and what changes."""
     found, find = [], commitment.find_evasions
 
@@ -46,15 +48,15 @@ def record_evasions(monkeypatch):
         found.append((*own, find(*own)))
         return found[-1][-1]
 
-    monkeypatch.setattr(commitment, "find_evasions", note)
-    sato.run(crowd_in_the_way(np.random.default_rng(0)), seed=0)
-    monkeypatch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(commitment, "find_evasions", note)
+        sato.run(crowd_in_the_way(np.random.default_rng(0)), seed=0)
     return found
 
 
-def test_evasions_keep_limits_and_all_others_make_room(monkeypatch):
+def test_evasions_keep_limits_and_all_others_make_room():
     made_room, changes = 0, 0
-    for mission, horizon, reports, after in record_evasions(monkeypatch):
+    for mission, horizon, reports, after in record_evasions():
         before = {report.agent: report for report in reports}
         now = before | after
         places = np.array([now[i].path[:, 0] for i in sorted(now)])
@@ -91,8 +93,8 @@ def keeps_from_bodies(before, now):
     return any(known is None or keeps(known) for _, known in before.looks)
 
 
-def test_evasions_of_one_beyond_its_limits_keep_these_from_then_on(monkeypatch):
-    found = record_evasions(monkeypatch)
+def test_evasions_of_one_beyond_its_limits_keep_these_from_then_on():
+    found = record_evasions()
     mission, horizon, reports, after = max(found, key=lambda own: len(own[-1]))
     moved = 0
     for i in after:
