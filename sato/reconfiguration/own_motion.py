@@ -36,8 +36,8 @@ def is_own_model(model: Any) -> bool:
     return isinstance(model, Model) and (is_own(type(model)) or isinstance(model, SymbolicModel))
 
 
-def is_own_plant(plant: Plant) -> bool:
-    """Tell whether the motion that is flown is the user's own."""
+def is_own_plant(plant: Any) -> bool:
+    """Tell whether a plant, or the model that it flies, is the user's own."""
     return is_own(type(plant)) or is_own_model(getattr(plant, "model", None))
 
 

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
-from dynamics.plant import NonlinearPlant, Plant
+from dynamics.plant import NonlinearPlant
 from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
@@ -108,7 +108,7 @@ def model_error(mission: Reconfiguration, steps: int) -> float:
     states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])
     times = np.linspace(0, whole, 9).tolist()
     errors = [_largest_error(mission, t, states, steps, full) for t in times]
-    if isinstance(mission.plant, Plant) and is_own_plant(mission.plant):
+    if is_own_plant(mission.plant):
         each = np.vstack([full, np.eye(mission.axes)])
         places = _places_on_the_way(mission)
         errors += [_largest_error(mission, t, states, steps, each) for t, states in places]
@@ -329,10 +329,7 @@ def model_doubts(mission: Reconfiguration, chief: Chief) -> list[str]:
 
 def arrival_doubts(mission: Reconfiguration) -> list[str]:
     """List the doubt about a plant of the user's own, for whose errors all would arrive."""
-    if (
-        not (isinstance(mission.plant, Plant) and is_own_plant(mission.plant))
-        or mission.flies_model
-    ):
+    if not is_own_plant(mission.plant) or mission.flies_model:
         return []
     place, speed = model_error_on_arrival(mission)
     if max(place, speed * mission.step) <= mission.least_separation / 2:

@@ -239,7 +239,8 @@ class Field:
 
     def _check_plain(self, value: Any) -> Any:
         is_list = get_origin(self.hint) is tuple or Array in self.others
-        is_labeled = self.unit or is_list or {"to_numpy", "__len__"} <= set(dir(value))
+        is_column = hasattr(value, "to_numpy") and hasattr(value, "__len__")  # and no timestamp
+        is_labeled = self.unit or is_list or is_column
         value = (to_plain if is_labeled else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
