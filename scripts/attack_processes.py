@@ -40,7 +40,8 @@ from sato.processes.network import PREFIX, USER, Connection
 from sato.processes.vehicle_process import VehicleConnection
 
 WATCHED = "SATO_WATCHED"  # variable of the environment: folder of the notes of a flight
-NOTE = struct.Struct("<c8sIddQ")  # opened or sealed, digest, size, time, processor time, refused
+HEAD = struct.Struct("<BHIQ")  # version, sender, incarnation, counter
+NOTE = struct.Struct("<c8sHIQddQ")  # opened or sealed, digest, sender, incarnation, counter, times
 MORE = 50 * 2**20  # of memory, that an attack may take [byte]
 LONGEST = 180.0  # of a flight, after it is no longer attacked [s]
 SIZES = 1_900_000, 2_100_000, 100_000_000  # of large messages [byte]
@@ -61,7 +62,8 @@ def watch(folder: Path) -> None:
 
     def note(kind: bytes, data: bytes, spent: float) -> None:
         digest = blake2b(data, digest_size=8).digest()
-        line = NOTE.pack(kind, digest, len(data), spent, process_time(), refused[0])
+        head = HEAD.unpack_from(data)[1:]
+        line = NOTE.pack(kind, digest, *head, spent, process_time(), refused[0])
         with (folder / f"{os.getpid()}.log").open("ab") as file:
             file.write(line)
 
@@ -291,7 +293,6 @@ def find_port() -> int:
 
 
 Forged = tuple[int, bytes]  # receiver, and envelope
-HEAD = struct.Struct("<BHIQ")
 
 
 def seal(key: bytes, head: tuple[int, int, int, int], receiver: int, content: bytes) -> bytes:
@@ -396,7 +397,7 @@ class Insider:
 
     def send(self, to: int | str, data: bytes, kind: str) -> None:
         """Send bytes to a vehicle or the world, and keep their digest."""
-        if kind != "replayed":
+        if kind not in ("replayed", "older"):  # of which the counters tell
             self.forged.add(blake2b(data, digest_size=8).digest())
         self.kinds[kind] += 1
         self.session.put(f"{PREFIX}/{to}", data, congestion_control=zenoh.CongestionControl.BLOCK)
@@ -436,14 +437,26 @@ class Result(NamedTuple):
     sent: Counter[str]
 
 
-def attack(flight: Flight, how: str, limit: int, seed: int, strangers: Strangers | None) -> Result:
-    """Attack a flight to its end, or until there were so many messages."""
+def count_accepted(notes: dict[int, list[tuple[Any, ...]]], forged: set[bytes]) -> int:
+    """Count what was opened though it was forged, or is no newer than what came from its sender."""
+    accepted = 0
+    for rows in notes.values():
+        newest = dict[int, tuple[int, int]]()
+        for _, digest, sender, *counter, _, _, _ in (row for row in rows if row[0] == b"o"):
+            is_newer = tuple(counter) > newest.get(sender, (-1, -1))
+            accepted += digest in forged or not is_newer
+            newest[sender] = max(tuple(counter), newest.get(sender, (-1, -1)))
+    return accepted
+
+
+def attack(flight: Flight, how: str, seed: int, strangers: Strangers | None) -> Result:
+    """Attack a flight to its end."""
     insider, sent = None, Counter[str]()
     member = flight.wait_for_key()
     if member is not None and how != "none":
         with suppress(zenoh.ZError):  # the flight is over already
             insider = Insider(member, seed)
-    while insider is not None and flight.is_going_on() and insider.kinds.total() < limit:
+    while insider is not None and flight.is_going_on():
         if not insider.heard:
             sleep(0.001)
             continue
@@ -456,10 +469,8 @@ def attack(flight: Flight, how: str, limit: int, seed: int, strangers: Strangers
         sent |= {"of strangers": strangers.sent, "asked to be let in": strangers.asked}
         wrong += "; a stranger was let in" * bool(strangers.let_in)
     notes = flight.read_notes()
-    opened = Counter(row[1] for rows in notes.values() for row in rows if row[0] == b"o")
-    accepted = sum(count - 1 for count in opened.values())
+    accepted = count_accepted(notes, insider.forged if insider is not None else set())
     if insider is not None:
-        accepted += sum(digest in insider.forged for digest in opened)
         sent |= insider.kinds | Counter({"tokens": insider.tokens})
         with suppress(zenoh.ZError):
             insider.session.close()
@@ -472,7 +483,7 @@ def attack_all(
 ) -> int:
     """Attack flights of a mode until so many messages of each kind were refused; count faults."""
     undisturbed = Flight(base / f"alone{mode}", mode, scenario, find_port())
-    alone = attack(undisturbed, "none", 0, seed, None)
+    alone = attack(undisturbed, "none", seed, None)
     print(f"{mode}: undisturbed: {alone.wrong or 'kept'}", flush=True)
     expected = None if mode == "--free-running" else undisturbed.read_record()
     faults, flights, total, sent = int(bool(alone.wrong)), 0, Counter[str](), Counter[str]()
@@ -483,7 +494,7 @@ def attack_all(
             strangers = Strangers(port, seed + flights)
             strangers.start()
             flight = Flight(base / f"{how}{mode}-{flights}", mode, scenario, port)
-            result = attack(flight, how, count - total[how], seed + flights, strangers)
+            result = attack(flight, how, seed + flights, strangers)
             large = sum(number for kind, number in result.sent.items() if kind.endswith(" MB"))
             total[how] += large if how == "large" else result.refused
             sent += result.sent
@@ -545,14 +556,14 @@ def measure_cost(base: Path) -> int:
     """Fly ten vehicles in lock step; print what authentication takes of each and of a message."""
     scenario = ("random", "swarm.agents=10", "swarm.comm_radius_m=20", "leg.0.steps=60")
     flight = Flight(base / "cost", "--processes", scenario, find_port())
-    result = attack(flight, "none", 0, 0, None)
+    result = attack(flight, "none", 0, None)
     assert flight.member is not None, flight.text
     notes = flight.read_notes()
     shares, messages = [], 0
     for number, rows in notes.items():
         if number == flight.process.pid or number not in flight.peak:
             continue
-        shares.append(sum(row[3] for row in rows) / (rows[-1][4] - rows[0][4]))
+        shares.append(sum(row[5] for row in rows) / (rows[-1][6] - rows[0][6]))
         messages += len(rows)
     print(
         f"{len(shares)} vehicles, {messages} messages: authentication takes {np.mean(shares):.2%} "

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ from sato.processes.envelope import MAX_SIZE, OVERHEAD, VERSION, WORLD, Envelope
 from sato.processes.fleet import Fleet, VehicleError
 from sato.processes.membership import KEY_FILE, Incarnation, create_key, read_key
 from sato.processes.messages import Status
-from sato.processes.network import load_zenoh
+from sato.processes.network import Connection, load_zenoh
 from sato.processes.reports import check_status
 from sato.processes.vehicle import open_packet
 from sato.reconfiguration.agent_inputs import AgentMessage
@@ -146,6 +147,19 @@ def test_those_without_the_key_are_not_let_in():
                 zenoh.open(config)
         assert (fleet.key_file.parent.stat().st_mode & 0o777) == 0o700
     assert not fleet.key_file.exists()
+
+
+def test_connections_share_no_memory_with_other_processes(tmp_path):
+    member = create_key(tmp_path, "mission", None, 1)
+    users = tmp_path / "users"
+    users.write_text(f"sato:{member.key.hex()}\n")
+    connections = [Connection(member, WORLD, 1, users), Connection(member, 0, 1)]
+    connections[1].send(WORLD, b"x" * 100_000)
+    assert connections[0].receive(10)[0] == 0
+    mapped = Path("/proc/self/maps").read_text()
+    for connection in connections:
+        connection.close()
+    assert ".zenoh" not in mapped
 
 
 def test_next_flight_removes_the_folder_of_a_killed_one(tmp_path, monkeypatch):

@@ -72,6 +72,7 @@ class Connection:
             "transport/unicast/accept_timeout": int(ACCEPT_TIME * 1000),
             "transport/link/tx/lease": LEASE,
             "transport/link/rx/max_message_size": MAX_SIZE,
+            "transport/shared_memory/enabled": False,  # which a stranger could fill
             "transport/auth/usrpwd/user": USER,
             "transport/auth/usrpwd/password": member.key.hex(),
             "transport/auth/usrpwd/dictionary_file": None if users is None else str(users),
