@@ -114,7 +114,20 @@ class Obstacle(Definition):
                 reason = "velocity_m_s and nearest are all that it moves and keeps a distance by"
                 raise InputError("", f"{kind.__name__}.{wrong[0]} is not asked for: {reason}")
             with errors_in(f"{kind.__name__}.corners"):
-                as_array(self.corners, 2)
+                corners = as_array(self.corners, 2)
+            self._check_nearest(corners)
+
+    def _check_nearest(self, corners: Float[Array, "corners d"]) -> None:
+        """Refuse nearest points that are outside of the corners and the thickness."""
+        directions = spread_directions(self.axes, SPHERE_CORNERS)
+        extents = (corners @ directions.T).max(axis=0) + self.thickness
+        points = self.place + 3 * extents.max() * directions
+        beyond = (self.nearest(points) - self.place) @ directions.T - extents
+        if beyond.max() > 1e-6 * extents.max():
+            place = points[beyond.max(axis=1).argmax()]
+            told = f"{beyond.max():.3g} m outside of the corners, thickened by {self.thickness:g} m"
+            reason = f"gives for {place.round(3)} what is {told}"
+            raise InputError("", f"{type(self).__name__}.nearest {reason}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -152,6 +152,13 @@ class Flat(sato.Sphere):
         return 0.0
 
 
+class Away(sato.Sphere):
+    """Has its nearest points where it is not."""
+
+    def nearest(self, points):
+        return super().nearest(points) + np.array([0.0, 0.5])
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -167,6 +174,7 @@ class Flat(sato.Sphere):
         (lambda: Late((0, 0), 1.0), "Late.place_at is not asked for: velocity_m_s"),
         (lambda: Hollow((0, 0), 1.0), "Hollow.corners: must be finite"),
         (lambda: sato.obstacles.Obstacle(), "needs place, corners, nearest and scaled"),
+        (lambda: Away((3, 4), 1.0), "Away.nearest gives for .* 0.5 m outside of the corners"),
         (lambda: Flat((0, 0), 1.0).nearest(np.zeros((3, 2))), "must be an array of shape"),
     ],
 )

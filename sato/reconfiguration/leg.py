@@ -123,7 +123,8 @@ class Leg(Definition):
 
     shape: Annotated[Targets, Convert(as_points), "targets"]
     steps: Annotated[
-        Duration, "control steps until the deadline; auto: time_factor times the least"
+        Duration,
+        "control steps until the deadline; auto: time_factor times the least, and past all events",
     ]
     count: Annotated[int | None, Key("targets"), Positive, "number of targets, M"] = None
     recount: Annotated[bool, "count the agents by the bids of the leg before"] = False
