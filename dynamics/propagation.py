@@ -114,6 +114,8 @@ def integrate_orbits(
     settings = {"rtol": rtol, "atol": atol, "first_step": first_step, "events": altitude}
     if not times[-1]:  # the initial time alone
         return y0[None].copy()
+    if altitude(0.0, y0) < 0:
+        raise Impact(int(agents[np.argmin(radii(y0))]), t0, forces)
     span = 0.0, float(times[-1])
     solution = scipy.integrate.solve_ivp(rate, span, y0, "DOP853", times, **settings)
     if solution.status == 1:

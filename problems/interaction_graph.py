@@ -173,7 +173,7 @@ def algebraic_connectivity(
     eigenvectors. There `weight_gradient` is the mean over these eigenvectors: the derivative
     of the mean of the coinciding eigenvalues, which is smooth and independent of the basis.
 
-    Weights are at most 1, or True for edges. λ₂ of one agent is infinite.
+    Weights are not negative, or True for edges. λ₂ of one agent is infinite.
     """
     check_symmetric("weight", weight)
     if (weight < 0).any():
@@ -200,7 +200,7 @@ def spectral_slope(
     The sum is smooth where V is, also where eigenvalues meet, as it does not depend on the basis of
     their eigenvectors [Lewis1996].
 
-    The slope V′ is 0 at infinity, where λ₂ of one agent is; weights are at most 1.
+    The slope V′ is 0 at infinity, where λ₂ of one agent is.
     """
     value, vector = np.linalg.eigh(_pad_laplacian(weight, members))
     value, second, _ = _select_eigenvalues(value, members)
@@ -228,11 +228,12 @@ def connectivity_eigenvalues(
 
 
 def _pad_laplacian(weight: Weights, members: Bool[Array, "*k n"]) -> Float[Array, "*k n n"]:
-    # Eigenvalues of a graph of n agents are at most n; those of others are put beyond them.
-    among = weight
-    if not members.all():
-        among = np.where(members[..., None] & members[..., None, :], weight, 0.0)
-    return _laplacian(among, np.where(members, among.sum(axis=-1), 2.0 * weight.shape[-1]))
+    if members.all():
+        return _laplacian(weight, weight.sum(axis=-1, dtype=float))
+    # Eigenvalues of n agents are at most n times a weight; those of others are put beyond them.
+    beyond = 2.0 * weight.shape[-1] * max(1.0, weight.max(initial=0.0))
+    among = np.where(members[..., None] & members[..., None, :], weight, 0.0)
+    return _laplacian(among, np.where(members, among.sum(axis=-1), beyond))
 
 
 def _laplacian(weight: Weights, degree: Float[Array, "*k n"]) -> Float[Array, "*k n n"]:

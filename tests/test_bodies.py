@@ -270,6 +270,24 @@ def test_model_about_another_place_of_the_same_ellipse_is_refused():
             )
 
 
+def test_starts_and_targets_inside_the_body_are_refused():
+    chief = sato.Chief(semi_major_axis=6878e3, inclination=0.8)
+    start = np.array([[0.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
+    deep = start - [6e5, 0.0, 0.0]
+    limits = {"comm_radius": 1e6, "collision_radius": 10.0, "max_control": 0.1, "max_speed": 900.0}
+    for first, last, where in ((deep, start, "swarm.start"), (start, deep, "leg.0.shape")):
+        mission = sato.Reconfiguration(
+            model=sato.J2(chief.orbit),
+            chief=chief,
+            start=first,
+            legs=[sato.Leg(last, 30)],
+            step=60.0,
+            **limits,
+        )
+        with pytest.raises(sato.InputError, match=f"{where}.*1[01]0.. km below the surface"):
+            sato.run(mission)
+
+
 def test_no_invariant_orbit_passes_beyond_the_reach_of_its_energy():
     orbit = sato.Orbit.from_elements(6878e3, inclination=0.8)
     with pytest.raises(ValueError, match=r"position: no orbit through it, 7e[+]06 m away, has the"):

@@ -352,6 +352,22 @@ def test_a_plant_is_tried_before_anything_is_flown(spoil, reason):
         sato.run(mission(plant=Own()))
 
 
+@pytest.mark.parametrize("delay", [1, 2])
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_plant_that_remembers_earlier_controls_is_refused(delay, is_reset):
+    class Lag(Wind):
+        earlier = ()
+
+        def propagate(self, x, u, t, dt, substeps=1):
+            earlier = () if is_reset and t == 0 else self.earlier
+            late = earlier[-delay] if len(earlier) >= delay else u
+            self.earlier = (*earlier, u.copy())
+            return super().propagate(x, 0.9 * u + 0.1 * late, t, dt, substeps)
+
+    with pytest.raises(InputError, match=r"Lag\.propagate returns other states for the same"):
+        sato.run(mission(plant=Lag()))
+
+
 def test_rows_of_absent_agents_may_be_anything():
     x = np.array([[0.0, 0, 1, 0], [np.nan] * 4])
     found = Wind().propagate(x, np.zeros((2, 2)), 0.0, 1.0)
@@ -520,7 +536,7 @@ def test_a_stick_of_ones_own_is_checked():
 
     steered = sato.read("connectivity", ["run.duration_s=0.2"])
     with pytest.raises(CallbackError, match=r"Bent\.command_velocity: .*\(3,\), got \(2,\)"):
-        sato.run(replace(steered, stick=Bent()))
+        sato.run(replace(steered, stick=Bent(start_time=0.0)))
 
 
 def test_callbacks_drawn_at_random_are_told_or_right(monkeypatch):

@@ -258,7 +258,7 @@ def test_keys_in_another_order_are_another_campaign(tmp_path):
 
 
 def test_another_campaign_in_the_folder_is_refused(flown):
-    with pytest.raises(InputError, match="holds a campaign; --resume goes on"):
+    with pytest.raises(InputError, match="holds a campaign; --resume, resume=True in Python"):
         fly_campaign(campaign(), flown, function=count)
     with pytest.raises(InputError, match="holds another campaign, with another grid"):
         fly_campaign(campaign(grid=GRID), flown, function=count, resume=True)

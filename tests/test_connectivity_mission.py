@@ -32,6 +32,7 @@ kind = "flood"
 
 [stick]
 kind = "waypoints"
+start_s = 0.0
 
 [run]
 duration_s = 2.0
@@ -123,7 +124,7 @@ def test_stick_rests_at_first_and_is_then_held_and_let_go_in_turns():
 def test_recorded_stick_lies_beside_the_scenario_and_goes_with_the_run(tmp_path):
     (tmp_path / "stick.csv").write_text("# t, v\n0.5, 1, 0, 0\n1.0, 0, 0.5, 0\n")
     (tmp_path / "here.toml").write_text(
-        SHORT.replace('"waypoints"', '"recorded"\nfile = "stick.csv"')
+        SHORT.replace('"waypoints"\nstart_s = 0.0', '"recorded"\nfile = "stick.csv"')
     )
     asked = read(tmp_path / "here.toml")
     mission, text = asked.draw(np.random.default_rng(1)), asked.to_toml()
@@ -280,3 +281,5 @@ def test_fast_leader_and_slow_power_iteration_are_doubted():
     assert not drawn().warnings()
     (late,) = drawn("death=[{time_s=1.5}, {time_s=3}]").warnings()
     assert late == "a robot is to be lost at 3 s, and the flight ends at 2 s"
+    (unheld,) = drawn("stick.start_s=30").warnings()
+    assert unheld == "the stick is first held at 30 s, and the flight ends at 2 s"

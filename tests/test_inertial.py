@@ -111,6 +111,14 @@ def test_an_impact_names_agent_and_time():
     assert 600 < caught.value.time < 3600
 
 
+def test_start_inside_the_earth_is_an_impact():
+    plant = InertialPlant(Orbit.from_elements(EARTH_RADIUS + 3e5, 0.0, 0.5))
+    deep = np.zeros((2, 6))
+    deep[1, 0] = -1e6
+    with pytest.raises(Impact, match="agent 1 hits the Earth at t = 20 s"):
+        plant.propagate(deep, np.zeros((2, 3)), 20.0, 60.0)
+
+
 def test_an_impact_of_the_chief_is_reported():
     heavy = InertialPlant(
         Orbit.from_elements(EARTH_RADIUS + 1.6e5, 0.0, 0.5),

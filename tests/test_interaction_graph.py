@@ -114,6 +114,7 @@ def test_eigenvalues_of_members_are_those_of_the_graph_without_others(rng):
     for values in (connectivity_eigenvalues(weight, members), found[:2]):
         assert np.array(values) == pytest.approx(alone[1:3])
     assert np.isinf(connectivity_eigenvalues(weight, members & (np.arange(7) < 2))).all()
+    assert algebraic_connectivity(10 * weight, members)[:2] == pytest.approx(10 * alone[1:3])
 
 
 def test_coinciding_agents_have_zero_weights_and_gradient():

@@ -5,6 +5,7 @@ import runpy
 import subprocess
 import sys
 from collections import namedtuple
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -409,6 +410,13 @@ def test_errors_of_pairs_are_taken_from_the_record_of_a_run_in_any_order():
     recorded = xr.DataArray(errors, dims=("agent", "other"), attrs={"units": "rad"})
     for given in (recorded, recorded.T, recorded[::-1].assign_coords(agent=[2, 1, 0])):
         assert np.array_equal(sato.Connectivity(agents=3, yaw_error=given).yaw_error, errors)
+
+
+def test_an_instant_of_a_run_is_the_start_of_the_next():
+    run = sato.run("crossing", overrides=["leg.0.steps=40"])
+    last = run.data[["position", "velocity"]].isel(time=-1)
+    start = replace(sato.read("crossing"), start=last).initial_states
+    assert np.array_equal(start, np.hstack([last["position"], last["velocity"]]))
 
 
 def test_headings_of_frames_are_taken_with_their_unit():

@@ -189,8 +189,11 @@ def doubts(mission: "Connectivity") -> list[str]:
     if (rate := mission.limits.yaw_rate) > FAST_TURN:
         turns = f"{rate / 2 / pi:.3g} turns a second; is it in rad/s?"
         found.append(f"limits.turn_rad_s = {rate:g} is {turns}")
-    late = [loss.time for loss in mission.losses if loss.time and loss.time > mission.duration]
     end = f"and the flight ends at {mission.duration:g} s"
+    first_held = getattr(mission.stick, "start_time", 0.0)
+    if first_held >= mission.duration:
+        found.append(f"the stick is first held at {first_held:g} s, {end}")
+    late = [loss.time for loss in mission.losses if loss.time and loss.time > mission.duration]
     found += [f"a robot is to be lost at {time:g} s, {end}" for time in late]
     if commanded >= speed:
         found.append(

@@ -137,9 +137,10 @@ def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
         return
     u = np.zeros((len(x), x.shape[1] // 2))
     plant.propagate(x, u, 0.0, step, 2)
-    pushes = u + 1e-3, u, u + 1e-3
-    first, _, again = (plant.propagate(x, push, 0.0, step) for push in pushes)
-    if not np.array_equal(first, again):
+    # Pushes after zeros and after pushes show a memory, also where it begins anew at 0 s.
+    pushes = u, u, *[u + 1e-3] * 4
+    _, _, first, *again = [plant.propagate(x, push, step, step) for push in pushes]
+    if not all(np.array_equal(first, states) for states in again):
         name = f"{type(plant).__name__}.propagate"
         reason = "returns other states for the same arguments; a plant without state and chance"
         raise CallbackError("", f"{name} {reason} would do")

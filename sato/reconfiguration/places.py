@@ -189,6 +189,9 @@ def _with_velocities(
     noun: str = "agent",
 ) -> Float[Array, "k n"]:
     """Return states, with velocities that stay about these positions where none are given."""
+    if mission.chief is not None:
+        with errors_in(where):
+            mission.chief.check_heights(placed, t, noun)
     if velocity is None:
         velocity = _drift_free_velocities(mission, placed, t, where)
     speed = np.array([one.measure(v) for one, v in zip(limits, velocity, strict=True)])

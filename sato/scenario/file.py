@@ -1,5 +1,6 @@
 """Missions, and the scenario files that they are read from: TOML, data only."""
 
+import re
 import tomllib
 from abc import abstractmethod
 from collections.abc import Iterable
@@ -40,7 +41,7 @@ class Mission(Definition):
         "warnings": Callback("", lambda own, given, value: as_kind(value, list, "a list of text")),
     }
 
-    name: Annotated[Name, In(""), "name of the scenario"] = "mission"
+    name: Annotated[Name, In(""), "name of the scenario; of its file if absent"] = "mission"
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -197,7 +198,8 @@ def load_toml(text: str, source: str) -> dict[str, Any]:
         raise ScenarioError(f"{source}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
-    data.setdefault("name", Path(source).stem)
+    letters = re.sub("[^A-Za-z0-9_.-]+", "_", Path(source).stem).lstrip("_.-")
+    data.setdefault("name", letters[:100] or "mission")
     return data
 
 

@@ -230,8 +230,11 @@ class Points(Shape):
 def as_points(value: Any) -> Any:
     """Convert an array of positions or states to `Points`; leave anything else as it is.
 
-    Rows have 2 or 3 coordinates, or 4 or 6: positions, then velocities.
+    Rows have 2 or 3 coordinates, or 4 or 6: positions, then velocities. An instant of a run is a
+    dataset of `position` and `velocity`.
     """
+    if {"position", "velocity"} <= set(getattr(value, "data_vars", ())):
+        return Points(value["position"], value["velocity"])
     value = to_plain(value, "m", STATES)
     if not isinstance(value, Array | list | tuple):
         return value
