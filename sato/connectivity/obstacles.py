@@ -138,56 +138,44 @@ def obstacle_distances(
     position: Float[Array, "*k 3"], obstacles: Obstacles
 ) -> Float[Array, "*k obstacles"]:
     """Compute the distance to each sphere, box and plane, negative inside [m]."""
-    kinds = zip(obstacles, (_sphere_distances, _box_distances, _plane_distances), strict=True)
-    found = [compute(position[..., None, :], rows) for rows, compute in kinds if len(rows)]
-    return np.concatenate(found, axis=-1) if found else np.empty((*position.shape[:-1], 0))
-
-
-def _sphere_distances(at: Points, spheres: Float[Array, "spheres 4"]) -> Float[Array, "*#k"]:
-    return np.asarray(vector_lengths(at - spheres[:, :3]) - spheres[:, 3])
-
-
-def _box_distances(at: Points, boxes: Float[Array, "boxes 6"]) -> Float[Array, "*#k"]:
-    beyond = np.maximum(boxes[:, :3] - at, at - boxes[:, 3:])
-    outside = vector_lengths(np.maximum(beyond, 0))
-    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0))
-
-
-def _plane_distances(at: Points, planes: Float[Array, "planes 4"]) -> Float[Array, "*#k"]:
-    return np.asarray(at[..., 0, :] @ planes[:, :3].T - planes[:, 3])
+    spheres, boxes, planes = obstacles
+    at, found = position[..., None, :], [np.empty((*position.shape[:-1], 0))]
+    if len(spheres):
+        found.append(vector_lengths(at - spheres[:, :3]) - spheres[:, 3])
+    if len(boxes):
+        beyond = np.maximum(boxes[:, :3] - at, at - boxes[:, 3:])
+        outside = vector_lengths(np.maximum(beyond, 0))
+        found.append(outside + np.minimum(beyond.max(axis=-1), 0))
+    if len(planes):
+        found.append(position @ planes[:, :3].T - planes[:, 3])
+    return np.concatenate(found, axis=-1)
 
 
 def nearest_points(p: Float[Array, "*k 3"], obstacles: Obstacles) -> Float[Array, "*k obstacles 3"]:
     """Find the nearest point of the surface of each sphere, box and plane [m]."""
-    finders = _nearest_of_spheres, _nearest_of_boxes, _nearest_of_planes
-    kinds = zip(obstacles, finders, strict=True)
-    found = [find(p[..., None, :], rows) for rows, find in kinds if len(rows)]
-    return np.concatenate(found, axis=-2) if found else np.empty((*p.shape[:-1], 0, 3))
-
-
-def _nearest_of_spheres(at: Points, spheres: Float[Array, "spheres 4"]) -> Points:
-    centers, radius = np.split(spheres, [3], axis=1)
-    gap = at - centers
-    far = vector_lengths(gap)[..., None]
-    outwards = np.where(far > 0, gap, np.eye(3)[0]) / np.where(far > 0, far, 1)
-    return np.asarray(centers + radius * outwards)
-
-
-def _nearest_of_boxes(at: Points, boxes: Float[Array, "boxes 6"]) -> Points:
-    low, high = boxes[:, :3], boxes[:, 3:]
-    clipped = np.clip(at, low, high)
-    # Inside of a box the nearest of its six faces counts.
-    faces = np.stack([low, high], axis=-1)
-    depth = np.abs(at[..., None] - faces).reshape(*clipped.shape[:-1], 6)
-    nearest = np.arange(6) == depth.argmin(axis=-1)[..., None]
-    nearest = nearest.reshape(*clipped.shape, 2)
-    on_face = np.where(nearest.any(axis=-1), (faces * nearest).sum(axis=-1), at)
-    return np.where((clipped == at).all(axis=-1, keepdims=True), on_face, clipped)
-
-
-def _nearest_of_planes(at: Points, planes: Float[Array, "planes 4"]) -> Points:
-    normals, offset = planes[:, :3], planes[:, 3]
-    return np.asarray(at - ((at * normals).sum(axis=-1) - offset)[..., None] * normals)
+    spheres, boxes, planes = obstacles
+    at, found = p[..., None, :], [np.empty((*p.shape[:-1], 0, 3))]
+    if len(spheres):
+        centers, radius = np.split(spheres, [3], axis=1)
+        gap = at - centers
+        far = vector_lengths(gap)[..., None]
+        outwards = np.where(far > 0, gap, np.eye(3)[0]) / np.where(far > 0, far, 1)
+        found.append(centers + radius * outwards)
+    if len(boxes):
+        low, high = boxes[:, :3], boxes[:, 3:]
+        clipped = np.clip(at, low, high)
+        # Inside of a box the nearest of its six faces counts.
+        faces = np.stack([low, high], axis=-1)
+        depth = np.abs(at[..., None] - faces).reshape(*clipped.shape[:-1], 6)
+        nearest = np.arange(6) == depth.argmin(axis=-1)[..., None]
+        nearest = nearest.reshape(*clipped.shape, 2)
+        on_face = np.where(nearest.any(axis=-1), (faces * nearest).sum(axis=-1), at)
+        is_inside = (clipped == at).all(axis=-1, keepdims=True)
+        found.append(np.where(is_inside, on_face, clipped))
+    if len(planes):
+        normals, offset = planes[:, :3], planes[:, 3]
+        found.append(at - ((at * normals).sum(axis=-1) - offset)[..., None] * normals)
+    return np.concatenate(found, axis=-2)
 
 
 def segments_hit_balls(
