@@ -15,6 +15,8 @@ from sato.connectivity.obstacles import obstacle_distances
 from sato.formation.check.recorded import FormationRecord, summarize_flight
 from sato.formation.leg import FormationLeg
 from sato.formation.loop import simulate as simulate_formation
+from sato.formation.system import SYSTEM as FORMATION
+from sato.record import collect_run_data
 from sato.scenario.file import read_data
 from sato.scene import nearest_distances
 from sato.shapes import Points
@@ -127,7 +129,8 @@ def _transitions(run: sato.Run) -> Iterator[tuple[str, FormationRecord]]:
             leg = FormationLeg(shape, run.mission.legs[0].graph).draw(6, 0.0, rng)
             mission = replace(drawn, start=start, legs=(leg,))
             frames = list(simulate_formation(mission, rng))
-            record = FormationRecord.from_frames(frames, mission)
+            data = collect_run_data(FORMATION, frames, mission)
+            record = FormationRecord.from_data(data, mission)
         yield name, record
 
 
@@ -163,11 +166,14 @@ def _forget_time(run: sato.Run) -> float:
     """Return the longest time for which a lost agent was counted on [s], from another flight."""
     rng = np.random.default_rng(int(run.data.attrs["seed"]))
     mission = run.mission.draw(rng)
-    record = ConnectivityRecord.from_frames(list(simulate_connectivity(mission, rng)), mission)
-    frames, longest = record.frames, 0.0
+    frames, longest = list(simulate_connectivity(mission, rng)), 0.0
+    time, alive, known = (
+        np.array([getattr(frame, name) for frame in frames])
+        for name in ("time", "alive", "known_agents")
+    )
     for loss in mission.losses:
-        is_known = (frames.known_agents[..., loss.agent] & frames.alive).any(axis=1)
-        times = frames.time[is_known & ~frames.alive[:, loss.agent]]
+        is_known = (known[..., loss.agent] & alive).any(axis=1)
+        times = time[is_known & ~alive[:, loss.agent]]
         longest = max(longest, float((times - loss.time).max(initial=0.0)))
     return longest
 

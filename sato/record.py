@@ -207,15 +207,6 @@ class RunRecord(Generic[MissionT, FrameT, VariablesT]):
         variables: Any = system.run_variables and read_variables(system.run_variables, data)
         return cls(mission, frames, variables, dict(data.attrs))
 
-    @classmethod
-    def from_frames(cls: type[RecordT], frames: Sequence[Any], mission: Any) -> RecordT:
-        """Stack the frames of a flight, those that are not recorded too."""
-        *columns, _ = zip(*frames, strict=True)
-        events = tuple({"time": frame.time, **event} for frame in frames for event in frame.events)
-        stacked = type(frames[0])(*map(np.array, columns), events)
-        collect = load_system(mission.system).collect
-        return cls(mission, stacked, collect and collect(frames, mission), {})
-
     @property
     def time(self) -> Float[Array, " instants"]:
         """Time of each instant [s]."""

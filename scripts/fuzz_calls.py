@@ -48,7 +48,7 @@ LIMIT_S = 20
 MEMORY = 8 * 2**30  # that a call may address [byte]
 HUGE = 10**400
 # Names no argument, which its caller does; has no missions of its own; are made by runs alone.
-NO_DOORS = {"as_array", "Mission.draw", "RunRecord", "RunRecord.from_frames"}
+NO_DOORS = {"as_array", "Mission.draw", "RunRecord"}
 
 
 class SubclassOfFloat(float):

@@ -189,7 +189,6 @@ def test_summary_equals_totals_added_up_in_flight(settings):
     assert broken(data, mission) <= {"separation", "reached"}  # the paper's avoidance breaks both
     record = FormationRecord.from_data(data, mission)
     summary, total = summarize_flight(record), accumulate(mission, frames)
-    assert summary == summarize_flight(FormationRecord.from_frames(frames, mission))
     for name in ("time_s", "reassignments", "gridlocked_s"):
         assert summary[name] == pytest.approx(total[name])
     # The velocities between two frames are not recorded.

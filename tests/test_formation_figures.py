@@ -65,11 +65,15 @@ def fly(mission):
     return list(simulate(mission, np.random.default_rng(7)))
 
 
+def record_of(mission, frames):
+    return FormationRecord.from_data(dataset(mission, frames), mission)
+
+
 @cache
 def flown(name):
     make, count = RUNS[name]
     mission = make()
-    return FormationRecord.from_frames(fly(mission)[:count], mission)
+    return record_of(mission, fly(mission)[:count])
 
 
 # Mission, and the number of instants that are recorded; all without one.
@@ -115,7 +119,7 @@ def test_moved_formation_is_drawn_in_its_own_axes():
     points = mission.gains[0].formation.points
     there = Pose(1.1, np.array([5.0, -7.0, 3.0])).transform(points)
     frames = [frame._replace(position=there) for frame in fly(mission)[:100]]
-    [ax] = draw(ALL["traces"], FormationRecord.from_frames(frames, mission)).axes
+    [ax] = draw(ALL["traces"], record_of(mission, frames)).axes
     np.testing.assert_allclose(discs(ax).get_offsets(), points[:, :2], atol=1e-9)
     assert ax.get_title() == "(a) leg 1\nnot converged, 0.000 m off, turned by 63°"
 
@@ -134,7 +138,7 @@ def test_vehicles_are_drawn_to_scale_at_their_relative_positions(legs):
 
 def test_traces_cover_the_last_forty_seconds():
     mission = flat(supervision=SupervisorSettings(hover_time=60.0))
-    record = FormationRecord.from_frames(fly(mission), mission)
+    record = record_of(mission, fly(mission))
     [leg] = record.replay.legs
     [ax] = draw(ALL["traces"], record).axes
     [paths] = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_zorder() == 2]
@@ -150,7 +154,7 @@ def test_changed_assignments_under_way_are_marked_with_rings():
     frames = fly(mission)
     k = len(frames) // 2
     swapped = [f._replace(point_index=f.point_index[[1, 0, 2, 3]]) for f in frames[k:]]
-    record = FormationRecord.from_frames(frames[:k] + swapped, mission)
+    record = record_of(mission, frames[:k] + swapped)
     [ax] = draw(ALL["traces"], record).axes
     [rings] = [line for line in ax.lines if line.get_marker() == "o"]
     distance = np.hypot(*np.diff(rings.get_xydata(), axis=0)[0])
@@ -161,7 +165,7 @@ def test_changed_assignments_under_way_are_marked_with_rings():
 def test_many_legs_are_named_by_their_numbers():
     mission = flat()
     mission = replace(mission, legs=mission.legs * 8)
-    record = FormationRecord.from_frames(fly(mission), mission)
+    record = record_of(mission, fly(mission))
     [ax] = draw(ALL["separation"], record).axes
     assert [t.get_text() for t in ax.texts[-8:]] == list("12345678")
 
