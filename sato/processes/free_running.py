@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from sato.network.channel import Outages
+from sato.network.outages import PairOutages
 from sato.processes.codec import encode
 from sato.processes.fleet import Fleet
 from sato.processes.free_vehicle import HEARTBEAT
@@ -140,24 +140,21 @@ class PacketsUnderWay:
 
     def __init__(self, world: World, tick: float, rng: np.random.Generator) -> None:
         self.world, self.tick, self.rng = world, tick, rng
-        count = len(world.x)
-        self._place = np.zeros((count, count), dtype=int)
-        i, j = np.triu_indices(count, 1)
-        self._place[i, j] = self._place[j, i] = np.arange(len(i))
-        self._outages = Outages(world.mission.link, len(i), rng)
-        self._is_down, self._next_round = self._outages.draw(1)[:, 0], monotonic() + tick
+        self._outages = PairOutages(world.mission.link, len(world.x), rng)
+        self._is_down, self._next_round = self._outages.advance(), monotonic() + tick
         self._late: list[tuple[float, int, int, int, bytes]] = []  # by time
         self._sent = 0
 
     def send(self, sender: int, packet: FreePacket) -> None:
         """Send a packet to all within hearing."""
         link, now, data = self.world.mission.link, monotonic(), encode(packet)
-        self._draw_outages(now)
+        while self._next_round <= now:
+            self._is_down = self._outages.advance()
+            self._next_round += self.tick
         for receiver in self.world.connect().neighbors[sender].tolist():
-            is_down = self._is_down[self._place[sender, receiver]]
             is_lost = self.rng.random() < link.loss_probability
             late = int(self.rng.integers(link.late + 1))
-            if not (is_down or is_lost):
+            if not (self._is_down[sender, receiver] or is_lost):
                 self._sent += 1
                 own = receiver, packet.until, data
                 heappush(self._late, (now + late * self.tick, self._sent, *own))
@@ -170,8 +167,3 @@ class PacketsUnderWay:
             if self.world.alive[receiver] and until > self.world.step_index:
                 fleet.pass_on(receiver, data)
         return self._late[0][0] - now if self._late else 1.0
-
-    def _draw_outages(self, now: float) -> None:
-        while self._next_round <= now:
-            self._is_down = self._outages.draw(1)[:, 0]
-            self._next_round += self.tick
