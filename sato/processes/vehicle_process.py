@@ -54,7 +54,7 @@ def run_vehicle(key_file: Path, number: int) -> None:
             if briefing.tick:
                 send = partial(connection.send, WORLD)
                 FreeVehicle(vehicle, send, briefing.tick).run(connection.receive)
-            LockStepVehicle(vehicle, connection).run()
+            _act_when_called(vehicle, connection)
         except Exception as error:  # the world ends the flight, and tells the reason
             kind, is_told = type(error).__name__, isinstance(error, ValueError | RuntimeError)
             text = str(error) if is_told else f"cannot go on, a {kind}: {error}"
@@ -91,32 +91,24 @@ def _hear_mission(connection: VehicleConnection) -> Briefing:
                 return received[1]
 
 
-class LockStepVehicle:
-    """Vehicle that acts when it is called."""
-
-    def __init__(self, vehicle: Vehicle, connection: VehicleConnection) -> None:
-        self.vehicle, self.connection = vehicle, connection
-        self._before: Any = vehicle.agent.memory
-
-    def run(self) -> None:
-        """Act in every round of the network."""
-        while True:
-            received = self.connection.receive(timeout=PATIENCE)
-            if received is not None and isinstance(received[1], Call):
-                self.connection.send(WORLD, self._act(received[1]))
-
-    def _act(self, call: Call) -> Reply:
-        vehicle, agent = self.vehicle, self.vehicle.agent
+def _act_when_called(vehicle: Vehicle, connection: VehicleConnection) -> None:
+    """Act in every round of the network, in lock step."""
+    agent, before = vehicle.agent, vehicle.agent.memory
+    while True:
+        received = connection.receive(timeout=PATIENCE)
+        if received is None or not isinstance(call := received[1], Call):
+            continue
         inbox = [open_packet(*sent) for sent in call.inbox]
         if call.begins:
             if agent.memory.instant == call.measured.instant:  # once more
-                agent.memory = self._before
+                agent.memory = before
             if not vehicle.mission.lag_steps:  # the end of a leg is agreed on otherwise
                 vehicle.begin_leg(call.leg)
-            self._before = agent.memory
+            before = agent.memory
             packet = vehicle.begin(call.measured, inbox)
         else:
             packet = vehicle.act(call.measured, inbox)
         has_decided = agent.is_finished or vehicle.mission.lag_steps > 0
         status = vehicle.report() if has_decided else None
-        return Reply(call.serial, None if packet is None else encode(packet), status)
+        data = None if packet is None else encode(packet)
+        connection.send(WORLD, Reply(call.serial, data, status))
