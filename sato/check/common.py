@@ -49,24 +49,15 @@ class EventLog:
 Change = tuple[int, str, int]  # instant, "loss", "join" or "refused", and agent
 
 
-class Schedule(NamedTuple):
-    """Losses and joins that a run should have had."""
+def apply_changes(start: Bool[Array, " agents"], instants: int, changes: list[Change]) -> Alive:
+    """Return who is there at each instant, by who is at the start and losses and joins in order.
 
-    alive: Alive
-    events: list[Change]
-
-    @classmethod
-    def from_events(
-        cls, start: Bool[Array, " agents"], instants: int, events: list[Change]
-    ) -> "Schedule":
-        """Return the schedule of these events, in the order of time, by who is there at the start.
-
-        An agent has one event, a loss or a join.
-        """
-        alive = np.tile(start, (instants, 1))
-        for k, kind, agent in events:
-            alive[k:, agent] = kind == "join"
-        return cls(alive, events)
+    An agent has one of these, a loss or a join.
+    """
+    alive = np.tile(start, (instants, 1))
+    for k, kind, agent in changes:
+        alive[k:, agent] = kind == "join"
+    return alive
 
 
 class ClosestPair(NamedTuple):
@@ -176,20 +167,22 @@ def check_finite(
     return expect_none("numbers", np.sum(wrong, axis=0), text, time)
 
 
-def check_alive(alive: Alive, log: EventLog, schedule: Schedule | None = None) -> Promise:
-    """Check that agents join and are lost as scheduled, each with its event, and only so.
+def check_alive(
+    alive: Alive, log: EventLog, expected: Alive | None = None, changes: Iterable[Change] = ()
+) -> Promise:
+    """Check that agents join and are lost as expected, each with its event, and only so.
 
-    Without a schedule, of the losses and joins of the mission, those of the events are believed.
+    Without what the losses and joins of the mission give, those of the events are believed.
     """
     timed = log.of_kind("loss", "join", "refused")
     found = [(k, event["kind"], int(i)) for k, event in timed for i in event["agents"]]
-    if schedule is None:
-        schedule = Schedule.from_events(alive[0], len(alive), found)
+    if expected is None:
+        expected, changes = apply_changes(alive[0], len(alive), found), found
     text = "instants or events of an agent alive or not against the scenario"
-    odd = schedule.alive != alive
+    odd = expected != alive
     if odd.any():
         return expect_none("alive", odd, text, log.time)
-    return expect_none("alive", count_differences(found, schedule.events), text)
+    return expect_none("alive", count_differences(found, changes), text)
 
 
 def count_differences(found: Iterable[object], expected: Iterable[object]) -> int:

@@ -48,7 +48,7 @@ def check_run(data: RunData, mission: Connectivity, rng: Generator | None = None
         common.check_attributes(record.attributes, run_attributes(mission)),
         common.check_times(record.events, mission.step),
         common.check_finite(frames.alive, *states, time=frames.time),
-        common.check_alive(frames.alive, record.events, schedule_losses(record)),
+        common.check_alive(frames.alive, record.events, *expect_losses(record)),
         check_start(record),
         *check_motion(record),
         *check_commands(record),
@@ -60,14 +60,14 @@ def check_run(data: RunData, mission: Connectivity, rng: Generator | None = None
     return Report(promises, record.summarize())
 
 
-def schedule_losses(record: ConnectivityRecord) -> common.Schedule:
-    """Return the losses of the mission, each at the first instant that is not before it."""
+def expect_losses(record: ConnectivityRecord) -> tuple[common.Alive, list[common.Change]]:
+    """Return who is there, and the losses, each at the first instant that is not before it."""
     mission, (instants, agents) = record.mission, record.frames.alive.shape
     time, events = mission.step * np.arange(instants), list[common.Change]()
     for loss in mission.losses:
         is_late = time >= loss.time - TOLERANCE
         events += [(int(np.argmax(is_late)), "loss", int(loss.agent))] * bool(is_late.any())
-    return common.Schedule.from_events(np.ones(agents, dtype=bool), instants, events)
+    return common.apply_changes(np.ones(agents, dtype=bool), instants, events), events
 
 
 def check_start(record: ConnectivityRecord) -> Promise:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from numpy.random import Generator
 
-from sato.check.common import Change, Schedule
+from sato.check.common import Alive, Change
 from sato.reconfiguration.check.recorded import LegRecord, ReconfigurationRecord
 from sato.reconfiguration.disturbances import disturb_control, draw_losses, measure
 from sato.reconfiguration.estimator import GATE_SIGMAS, measurement_covariance
@@ -84,7 +84,8 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
 class Redrawn(NamedTuple):
     """Losses, joins, noise and errors of a run, as its mission and seed give them."""
 
-    schedule: Schedule
+    alive: Alive
+    changes: list[Change]  # losses and joins
     measured: Float[Array, "steps agents n"]  # states as measured
     applied: Float[Array, "steps agents d"]  # controls as applied
 
@@ -113,7 +114,7 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
             due = [at_step for _, at_step in mission.joining(leg.leg_index)]
             due += [loss.at_step for loss in mission.legs[leg.leg_index].losses]
             events += [(-1, "", -1) for at_step in due if at_step > leg.step_count]
-    return Redrawn(Schedule(expected, events), measured, applied)
+    return Redrawn(expected, events, measured, applied)
 
 
 def _has_room(

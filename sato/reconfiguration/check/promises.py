@@ -53,7 +53,7 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
     record = ReconfigurationRecord.from_data(data, mission)
     frames, log = record.frames, record.events
     times = check_clocks(record, rng)
-    schedule, measured, applied = redraw(record, rng)
+    alive, changes, measured, applied = redraw(record, rng)
     ended = {leg.leg_index for leg in record.leg_records if leg.end_event is not None}
     unended = "legs that did not end" if len(ended) < len(mission.legs) else ""
     promises = (
@@ -65,7 +65,7 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
         check_chief(record),
         check_finite(record),
         check_start(record),
-        common.check_alive(frames.alive, log, schedule),
+        common.check_alive(frames.alive, log, alive, changes),
         common.check_components(frames, mission.comm_radius),
         check_propagation(record),
         check_applied_control(record, applied),
