@@ -290,7 +290,14 @@ def run(
             origin=origin.to_json(),
             stopped=stopped,
         )
-        return _check_flown(Run(data, record.initial_summary(data.attrs), mission))
+        flown = Run(data, record.initial_summary(data.attrs), mission)
+        # Neither Ctrl-C nor a fault in a check may lose what was flown.
+        try:
+            if failure := flown.report.failure:
+                warnings.warn(f"the run could not be checked: {failure}", stacklevel=3)
+        except KeyboardInterrupt:
+            vars(flown)["report"] = Report((), {}, failure="interrupted")
+        return flown
 
 
 @checked
@@ -361,22 +368,12 @@ def _draw(
         raise
 
 
-def _check_flown(run: Run) -> Run:
-    # Neither Ctrl-C nor a fault in a check may lose what was flown.
-    try:
-        if run.report.failure:
-            warnings.warn(f"the run could not be checked: {run.report.failure}", stacklevel=4)
-    except KeyboardInterrupt:
-        vars(run)["report"] = Report((), {}, failure="interrupted")
-    return run
-
-
 def _collect_frames(
     system: System[Any, Any],
     mission: Any,
     rng: Generator,
     callback: FrameCallback,
-    is_strict: bool = False,
+    is_strict: bool,
 ) -> tuple[list[Any], str]:
     # Compiled code loses an exception that is raised in it by a signal, so the first Ctrl-C
     # waits for the next frame; a second one does not.
