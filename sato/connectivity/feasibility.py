@@ -8,7 +8,7 @@ import numpy as np
 from problems.interaction_graph import algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Obstacles, Plane, obstacle_distances
 from sato.connectivity.power_iteration import spectral_radius
-from sato.connectivity.settings import MAX_ROW_AGE, PowerIterationGains, complete_gains
+from sato.connectivity.settings import MAX_MESSAGE_AGE, PowerIterationGains, complete_gains
 from sato.connectivity.stick import RecordedStick
 from sato.network.graph import label_components
 from sato.scenario.definition import errors_in, fields_of
@@ -18,7 +18,6 @@ from sato.scenario.ranges import MANY_SHORT_STEPS, doubt_long
 if TYPE_CHECKING:
     from sato.connectivity.mission import Connectivity
 
-MAX_MESSAGE_AGE = MAX_ROW_AGE / 5  # rows are relayed several times before they are forgotten [s]
 FAST_TURN = 4 * pi  # rate beyond which it is likely given in degrees [rad/s]
 MAX_POWER_STEP = 2.5e-3  # distance flown per exchange of power_pi at which 50 runs held [m]
 

@@ -6,8 +6,9 @@ from dynamics.doors import checked
 from dynamics.units import AngularRate, Key, Length, Speed, Time
 from sato.scenario.definition import LATER, NotNegative, Positive
 
-MAX_MESSAGE_AGE = 0.2  # time for which a neighbor's last message is used [s]
 MAX_ROW_AGE = 1.0  # age at which a row of the adjacency matrix is forgotten [s]
+# Time for which a neighbor's last message is used; rows are relayed several times meanwhile [s].
+MAX_MESSAGE_AGE = MAX_ROW_AGE / 5
 
 
 @checked
