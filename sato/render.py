@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from dynamics.doors import checked
 from sato.atomic import replace_atomically, replace_together
-from sato.figures.context import styled
+from sato.figures.axes import styled
 from sato.film import SwarmFilm
 from sato.record import MAX_FRAMES, drawn_mark, find_drawn
 from sato.run_data import RunData

@@ -18,8 +18,7 @@ from sato.auctions.direct import assign_centrally
 from sato.auctions.vsdaa import VsdaaAuction
 from sato.connectivity.controller import evaluate_potential, repulsion_gain
 from sato.connectivity.settings import Potential, Repulsion
-from sato.figures.axes import add_titles
-from sato.figures.context import styled
+from sato.figures.axes import add_titles, styled
 from sato.figures.style import BLUE, DARK_GRAY, GRAY, GREEN, LIGHT_GRAY, ORANGE, RED
 from sato.formation.settings import AssignmentSettings, FrameSettings
 from sato.network.graph import CommunicationGraph

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import sato
-from sato.figures.context import styled
+from sato.figures.axes import styled
 from sato.systems import load_system
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -14,7 +14,7 @@ import pytest
 import sato
 from problems import kernels
 from problems.solvers import load_adapters
-from sato.figures.context import styled
+from sato.figures.axes import styled
 from sato.workers import check_guard
 
 

@@ -19,8 +19,7 @@ from sato.campaigns.selection import (
     select,
 )
 from sato.campaigns.table import CampaignTable
-from sato.figures.axes import as_label
-from sato.figures.context import styled
+from sato.figures.axes import as_label, styled
 from sato.figures.style import BLUE, marker_style
 from sato.scenario.errors import InputError
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from sato.compare.measure import Measurement
 from sato.compare.plan import format_tolerance
-from sato.figures.context import styled
+from sato.figures.axes import styled
 from sato.figures.style import marker_style
 
 CONES = ("linear", "second-order", "semidefinite")  # the hardest last

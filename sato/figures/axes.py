@@ -1,6 +1,7 @@
 """Panels of figures: projections of a swarm, trajectories, titles and legends."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from itertools import cycle
 from math import ceil
 from string import ascii_lowercase
@@ -10,15 +11,21 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.style import context
 from mpl_toolkits.mplot3d.art3d import Line3DCollection  # type: ignore[import-untyped]  # no stubs
 from numpy import ndarray as Array
 
-from sato.figures.style import GRAY
+from sato.figures.style import GRAY, STYLE
 from sato.terminal import as_line
 
 PADDING = 0.04  # around what is shown, in the size of it
 LONGEST_LABEL = 100  # that is not cut
 KILOMETER_THRESHOLD = 1000.0  # size of what is shown, from which axes are in kilometers [m]
+
+
+def styled() -> AbstractContextManager[None]:
+    """Return a context in which matplotlib has its defaults, and the settings of our figures."""
+    return context(["default", STYLE])
 
 
 class Projection(NamedTuple):
