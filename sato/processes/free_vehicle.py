@@ -91,11 +91,16 @@ class FreeVehicle:
 
     def _give_up(self) -> None:
         """Keep what it had, unless others may count on something else."""
-        agent = self.vehicle.agent
         if self._asked is None and self._begun is not None:
-            over = self._begun.agent._replace(network_round=self._begun.agent.last_network_round)
-            given_up = self._begun._replace(agent=over)
-            agent.memory, self._until = agent.memory._replace(under_way=given_up), None
+            self._go_on(self._begun, network_round=self._begun.agent.last_network_round)
+            self._until = None
+
+    def _go_on(self, decision: Any, **changed: int) -> Any:
+        """Go on with a decision under way whose agent is changed, and return it."""
+        memory = self.vehicle.agent.memory
+        decision = decision._replace(agent=decision.agent._replace(**changed))
+        self.vehicle.agent.memory = memory._replace(under_way=decision)
+        return decision
 
     def _begin(self, measured: Measured) -> None:
         agent = self.vehicle.agent
@@ -110,21 +115,11 @@ class FreeVehicle:
             listens = begun.agent.discovery_rounds * self.tick + LATE_START
             self._listens_until = monotonic() + listens
             # Not so many rounds, but so long.
-            timed = begun.agent._replace(discovery_rounds=NEVER, last_network_round=NEVER)
-            begun = begun._replace(agent=timed)
-            agent.memory = agent.memory._replace(under_way=begun)
-            self._begun, self._until = begun, begun.decision.context.instant
+            self._begun = self._go_on(begun, discovery_rounds=NEVER, last_network_round=NEVER)
+            self._until = begun.decision.context.instant
             self._inbox, self._asked, self._has_consent = [], None, False
             self._rounds = {}
         self.send(Held(measured.instant, self.vehicle.report()))
-
-    def _stop_listening(self) -> None:
-        memory = self.vehicle.agent.memory
-        assert memory.under_way is not None
-        agent = memory.under_way.agent
-        agent = agent._replace(discovery_rounds=agent.network_round)
-        under_way = memory.under_way._replace(agent=agent)
-        self.vehicle.agent.memory = memory._replace(under_way=under_way)
 
     def _act(self) -> None:
         """Act once, and send a packet."""
@@ -132,7 +127,8 @@ class FreeVehicle:
         if measured is None or self._until is None:
             return
         if self._decides_with is None and monotonic() >= self._listens_until:
-            self._stop_listening()
+            heard: Any = agent.memory.under_way
+            self._go_on(heard, discovery_rounds=heard.agent.network_round)
         inbox, self._inbox = self._inbox, []
         packet = self.vehicle.act(measured, inbox)
         under_way = agent.memory.under_way
