@@ -25,10 +25,8 @@ LATER = {
 }  # fmt: skip
 
 
-def verify_run(
-    data: RunData, mission: Any | None, summary: Mapping[str, Any] | None = None
-) -> Report:
-    """Check a run by recomputing what its data and, if given, its summary say.
+def verify_run(data: RunData, mission: Any | None, summary: Mapping[str, Any]) -> Report:
+    """Check a run by recomputing what its data and its summary say.
 
     The mission is not drawn; without it, only what needs no mission is recomputed, and the report
     lists all else as skipped. A `RunFileError` says that nothing can be, as the file was altered.
@@ -44,7 +42,7 @@ def verify_run(
     text = "alteration of the file since it was written"
     first = expect_none("unaltered", not is_unaltered, text), _check_scenario(data)
     report = replace(found, promises=(*first, *found.promises))
-    if summary is None or found.skipped:
+    if found.skipped:
         return report
     last = _check_summary(data, summary, report, is_unaltered)
     return replace(report, promises=(*report.promises, last))
