@@ -197,7 +197,7 @@ def _open(campaign: Campaign, folder: Path, resume: bool, allow_version: bool) -
     table = CampaignTable(folder, is_writer=True)
     try:
         if len(table) and not resume:
-            cure = "--resume, resume=True in Python, goes on with it; another --out, or out, would do"
+            cure = "--resume, resume=True in Python, goes on with it; another out would do"
             raise InputError("", f"{folder}: holds a campaign; {cure}")
         if len(table):  # an empty one may be any campaign's
             _check_same(campaign, table, allow_version)
