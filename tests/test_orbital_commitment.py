@@ -92,7 +92,7 @@ def test_choice_in_orbit_by_messages_is_that_of_all_at_once():
         }
         (*_, chosen) = run_rounds(graph, states, Choosing.update, lambda s: s.message, is_over)
         keeps = [chosen[a].choice == 1 and not held[a].is_unclear for a in range(6)]
-        assert keeps == (choose_in_orbit(offers, graph, rank).choice == offers.last).tolist()
+        assert keeps == (choose_in_orbit(offers, graph, rank)[0] == offers.last).tolist()
 
 
 def is_over(state):

@@ -51,20 +51,13 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 NOBODY = np.zeros(0, dtype=int)
 
 
-class Choices(NamedTuple):
-    """Offers that agents have chosen."""
-
-    choice: Int[Array, " agents"]
-    load: Load
-
-
 def choose_offers(
     offers: Offers,
     graph: CommunicationGraph,
     rank: Int[Array, " agents"],
     is_confirmed: bool = False,
-) -> Choices:
-    """Let all agents agree on offers that are clear of each other.
+) -> tuple[Int[Array, " agents"], Load]:
+    """Let all agents agree on offers that are clear of each other; return their choices.
 
     All begin with their best. While two are not clear, the one that follows its plan for longer
     takes its next choice, or that of lower rank where both do as long. So at the end all are clear
@@ -93,7 +86,7 @@ def choose_offers(
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
-            return Choices(choice, _count_choosing(offers, graph, np.array(history)))
+            return choice, _count_choosing(offers, graph, np.array(history))
         for a in moved:
             choice[a] = next_choice(offers.is_allowed[a], int(choice[a]))
         history.append(choice.copy())

@@ -24,7 +24,6 @@ from sato.network.encoding import CHOICE, CLEARANCE, REAL
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
 from sato.reconfiguration.commitment import (
-    Choices,
     CommitmentChoice,
     are_clear,
     choose_offers,
@@ -253,8 +252,10 @@ def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
 
 def choose_in_orbit(
     offers: Offers, graph: CommunicationGraph, rank: Int[Array, " agents"]
-) -> Choices:
-    """Let all agents agree on offers; the last is what an agent has committed to.
+) -> tuple[Int[Array, " agents"], Load]:
+    """Let all agents agree on offers, and return their choices.
+
+    The last offer is what an agent has committed to.
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
     """
@@ -265,8 +266,7 @@ def choose_in_orbit(
     choice, load = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
     own = offers.agents, int(offers.steps[0]), offers.paths[:1, 0].shape[-1]
-    load = load.plus(_count_holding(graph, *own))
-    return Choices(choice, load)
+    return choice, load.plus(_count_holding(graph, *own))
 
 
 def _count_holding(

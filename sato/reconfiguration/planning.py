@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from math import ceil, inf, isfinite
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,25 +27,18 @@ from sato.scp.routes import go_around
 MAX_PIECES = 12  # of the trajectory within a step
 
 
-class Planning(NamedTuple):
-    """Plans of agents that have resolved their conflicts."""
-
-    plans: Plans
-    events: list[Event]
-    load: Load
-
-
 def plan_trajectories(
     context: DecisionContext,
     spent: Float[Array, " agents"],
     previous: Plans,
     solve_count: int = 0,
     clocks: Int[Array, " agents"] | None = None,
-) -> Planning:
+) -> tuple[Plans, list[Event], Load]:
     """Plan for every agent that decides: alone first, then clear of the others.
 
-    The agent that has spent less fuel or energy gives way. Some programs may have been solved for
-    this replanning already. The clocks are those before they decided, of the memory by default.
+    With the plans come events, and the load of messages. The agent that has spent less fuel or
+    energy gives way. Some programs may have been solved for this replanning already. The clocks are
+    those before they decided, of the memory by default.
     """
     mission, graph = context.mission, context.graph
     if mission.is_passively_safe:
@@ -71,7 +63,7 @@ def plan_trajectories(
     plans, relaxed = make_plans(context, resolved, unreachable, previous, hears_all)
     if mission.is_passively_safe:  # others pass on each message
         load = load.relayed(context.graph.diameter)
-    return Planning(plans, [{"kind": "replan", "agents": [], **replan}, *relaxed], load)
+    return plans, [{"kind": "replan", "agents": [], **replan}, *relaxed], load
 
 
 def make_plans(

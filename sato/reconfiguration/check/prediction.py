@@ -4,8 +4,6 @@ Agents may know better than the model that they share, where each linearizes abo
 trajectory; the error of the shared model bounds theirs.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -81,20 +79,14 @@ def _max_plan_age(record: ReconfigurationRecord) -> Int[Array, " instants"]:
     return age
 
 
-class Redrawn(NamedTuple):
-    """Losses, joins, noise and errors of a run, as its mission and seed give them."""
-
-    alive: Alive
-    changes: list[Change]  # losses and joins
-    measured: Float[Array, "steps agents n"]  # states as measured
-    applied: Float[Array, "steps agents d"]  # controls as applied
-
-
-def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
+def redraw(
+    record: ReconfigurationRecord, rng: Generator
+) -> tuple[Alive, list[Change], Float[Array, "steps agents n"], Float[Array, "steps agents d"]]:
     """Draw again, in the order of the loop: losses, measurements, disturbances, thruster errors.
 
-    An event of the mission that comes after the end of its leg is scheduled for instant −1, at
-    which nothing can happen. The generator is as the drawing of the mission left it.
+    Returned are who is there, losses and joins, states as measured, and controls as applied. An
+    event of the mission that comes after the end of its leg is scheduled for instant −1, at which
+    nothing can happen. The generator is as the drawing of the mission left it.
     """
     mission, alive = record.mission, record.mission.alive
     measured, applied = record.state[:-1].copy(), record.frames.control[:-1].copy()
@@ -114,7 +106,7 @@ def redraw(record: ReconfigurationRecord, rng: Generator) -> Redrawn:
             due = [at_step for _, at_step in mission.joining(leg.leg_index)]
             due += [loss.at_step for loss in mission.legs[leg.leg_index].losses]
             events += [(-1, "", -1) for at_step in due if at_step > leg.step_count]
-    return Redrawn(expected, events, measured, applied)
+    return expected, events, measured, applied
 
 
 def _has_room(
