@@ -160,38 +160,6 @@ def check_orbital_model(kind: object, has_orbit: bool) -> None:
         )
 
 
-def make_linear_model(model: AnyModel, chief: Chief | None) -> LinearModel:
-    """Make the linear model that all agents share."""
-    if isinstance(model, PointMass):
-        return DoubleIntegrator(model.dimension)
-    if isinstance(model, LinearModel):
-        return model
-    if isinstance(model, NonlinearModel):
-        return LinearizedModel(model)
-    if model.mean_motion is not None:
-        return ClohessyWiltshire(model.mean_motion)
-    assert chief is not None
-    return MODELS[model.kind](chief.orbit)
-
-
-def flies_model(
-    model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant, step: float
-) -> bool:
-    """Tell whether the vehicles do exactly what the shared model says.
-
-    A plant of a linear model does so if its steps are those of the shared model, up to rounding:
-    at the beginning, and 1, 3, 7 … 1023 control steps of `step` [s] later.
-    """
-    if isinstance(model, NonlinearModel):
-        return False
-    if isinstance(plant, Plant):
-        if type(plant) is not LinearPlant:
-            return False
-        times = [k * step for k in SAMPLED_STEPS]
-        return have_equal_steps(plant.model, make_linear_model(model, chief), step, times)
-    return plant.kind == "model" or chief is None
-
-
 def check_motion(model: AnyModel, chief: Chief | None, plant: PlantSettings | Plant) -> None:
     """Refuse a model, a chief and a plant that do not belong together."""
     if isinstance(model, OrbitalModel):
@@ -259,13 +227,35 @@ class Motion:
 
     @cached_property
     def flies_model(self) -> bool:
-        """True where the vehicles do exactly what the shared model says."""
-        return flies_model(self.model, self.chief, self.plant, self.step)
+        """True where the vehicles do exactly what the shared model says.
+
+        A plant of a linear model does so if its steps are those of the shared model, up to
+        rounding: at the beginning, and 1, 3, 7 … 1023 control steps later.
+        """
+        plant, step = self.plant, self.step
+        if isinstance(self.model, NonlinearModel):
+            return False
+        if isinstance(plant, Plant):
+            if type(plant) is not LinearPlant:
+                return False
+            times = [k * step for k in SAMPLED_STEPS]
+            return have_equal_steps(plant.model, self.linear_model, step, times)
+        return plant.kind == "model" or self.chief is None
 
     @cached_property
     def linear_model(self) -> LinearModel:
         """Model that all agents share, and auctions price by."""
-        return make_linear_model(self.model, self.chief)
+        model = self.model
+        if isinstance(model, PointMass):
+            return DoubleIntegrator(model.dimension)
+        if isinstance(model, LinearModel):
+            return model
+        if isinstance(model, NonlinearModel):
+            return LinearizedModel(model)
+        if model.mean_motion is not None:
+            return ClohessyWiltshire(model.mean_motion)
+        assert self.chief is not None
+        return MODELS[model.kind](self.chief.orbit)
 
     def discretize(self, steps: Amount, time: float = 0.0) -> DiscreteModel:
         """Discretize the shared model over some control steps from a time on."""
