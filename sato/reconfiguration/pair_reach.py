@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from math import inf, isfinite
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -72,17 +71,6 @@ class Budget:
         return is_reachable
 
 
-class ControlBounds(NamedTuple):
-    """Bounds of the control that pairs take, without the speed limit [m/s²]."""
-
-    lower: Float[Array, "k targets"]
-    upper: Float[Array, "k targets"]
-
-    def select(self, rows: Int[Array, " k"]) -> "ControlBounds":
-        """Return those of some of the vehicles."""
-        return ControlBounds(self.lower[rows], self.upper[rows])
-
-
 def is_surely_reached(
     departure: Departure, targets: Float[Array, "targets n"], steps: int, factor: float
 ) -> bool:
@@ -109,13 +97,13 @@ def bound_reach(
     targets: Float[Array, "targets n"],
     steps: int,
     factor: float,
-    bounds: ControlBounds | None,
+    bounds: Float[Array, "2 k targets"] | None,
 ) -> tuple[Bool[Array, "k targets"], Bool[Array, "k targets"]]:
     """Return the pairs that may be within reach, and those that certainly are.
 
-    The vehicles have equal limits. Bounds of the control that pairs take are given, unless all are
-    at rest. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`, bounds alone decide. Given
-    targets of vehicles in motion are left to single transfers.
+    The vehicles have equal limits. Lower and upper bounds of the control that pairs take [m/s²] are
+    given, unless all are at rest. Where there are more than `MAX_SOLVED_PAIRS_TIMES_STEPS`, bounds
+    alone decide. Given targets of vehicles in motion are left to single transfers.
     """
     mission, start, agent = departure.mission, departure.state, int(departure.agents[0])
     d, h, speed = mission.axes, mission.step, _speed_limit(departure, factor)
@@ -128,8 +116,9 @@ def bound_reach(
         ]
         possible, sure = (np.concatenate(each) for each in zip(*parts, strict=True))
         return possible, sure
-    possible = bounds.lower <= factor * control.most * (1 + 1e-9)
-    sure = possible & (bounds.upper * (1 + 1e-9) <= factor * control.most) & (speed.most == inf)
+    lower, upper = bounds
+    possible = lower <= factor * control.most * (1 + 1e-9)
+    sure = possible & (upper * (1 + 1e-9) <= factor * control.most) & (speed.most == inf)
     if mission.is_point_mass and speed.most < inf:
         starts_at_rest = ~start[:, d:].any(axis=1, keepdims=True)
         ends = 1.0 * starts_at_rest + ~targets[:, d:].any(axis=1)
@@ -190,12 +179,12 @@ def _directions(
 
 def bound_controls(
     departure: Departure, targets: Float[Array, "targets n"], steps: int
-) -> ControlBounds:
-    """Bound the control that each pair takes, without the speed limit."""
+) -> Float[Array, "2 k targets"]:
+    """Bound the control that each pair takes, without the speed limit, from below and above."""
     model, limit = departure.discretize(steps), departure.mission.control_limits[0]
     b = compute_displacements(model, departure.state, targets)
     bounds = bound_least_controls(model, b.reshape(-1, b.shape[2]), limit)
-    return ControlBounds(*(bound.reshape(b.shape[:2]) for bound in bounds))
+    return np.reshape(bounds, (2, *b.shape[:2]))
 
 
 def group_alike(departure: Departure, factor: float) -> Iterator[Int[Array, " k"]]:

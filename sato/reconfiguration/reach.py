@@ -15,7 +15,6 @@ from sato.reconfiguration.pair_reach import (
     ORBIT_TIME,
     STEP_TIME,
     Budget,
-    ControlBounds,
     Undecided,
     are_at_rest,
     bound_controls,
@@ -180,7 +179,7 @@ def find_stranded(
     targets: Float[Array, "targets n"],
     steps: int,
     factor: float = 1.0,
-    bounds: Callable[[int], ControlBounds] | None = None,
+    bounds: Callable[[int], Float[Array, "2 k targets"]] | None = None,
     budget: Budget | None = None,
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
@@ -199,7 +198,7 @@ def find_stranded(
     names = departure.names or [f"agent {i}" for i in agents]
     possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
     for rows in group_alike(departure, factor):
-        part, own = departure.select(rows), None if given is None else given.select(rows)
+        part, own = departure.select(rows), None if given is None else given[:, rows]
         possible[rows], sure[rows] = bound_reach(part, targets, steps, factor, own)
     if departure.mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
