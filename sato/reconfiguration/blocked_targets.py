@@ -28,14 +28,13 @@ class Places(NamedTuple):
     clearance: float  # that any two vehicles keep [m]
 
 
-def find_places(context: DecisionContext, steps: int, escape: int) -> Places:
+def find_places(context: DecisionContext, around: Surroundings, steps: int, escape: int) -> Places:
     """Return the places that agents would take up after some steps.
 
     In orbit they move on with their targets, and elsewhere they rest. For `escape` steps after
     that they could get out of the way of what moves.
     """
-    mission, around, targets = context.mission, context.surroundings, context.leg.targets
-    assert around is not None
+    mission, targets = context.mission, context.leg.targets
     if not mission.is_point_mass:
         return _find_places_in_orbit(context, around, steps)
     horizon = divide_horizon(mission, context.time, steps + max(escape, 1))
@@ -57,29 +56,25 @@ def _find_places_in_orbit(context: DecisionContext, around: Surroundings, steps:
     return Places(paths, later, horizon.clearance)
 
 
-def find_blocked(context: DecisionContext, agent: int, places: Places) -> Bool[Array, " targets"]:
-    """Find the targets at which an agent would come too near to what it knows."""
-    mission, around = context.mission, context.surroundings
-    assert around is not None
-    known = around.known_to(mission, agent, places.others, places.clearance)
-    if known is None:
-        return np.zeros(len(places.paths), dtype=bool)
-    wide = known._replace(clearance=required_separations(known.clearance))
-    return np.array([not is_path_clear(path, wide) for path in places.paths])
-
-
 def find_all_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:
-    """Find the targets that each agent knows to be blocked; None if none, or if they are given."""
+    """Find the targets that each agent knows to be blocked; None if none, or if they are given.
+
+    At these it would come too near to what it knows.
+    """
     graph, clock, around = context.graph, context.memory.clock, context.surroundings
-    places: dict[tuple[int, int], Places] = {}
-    if around is None or context.mission.assignment == "given":
+    mission, places = context.mission, dict[tuple[int, int], Places]()
+    if around is None or mission.assignment == "given":
         return None
     blocked = np.zeros((len(graph.alive), len(context.leg.targets)), dtype=bool)
     for i in np.flatnonzero(graph.alive).tolist():
-        when = max(1, context.leg.steps - int(clock[i])), around.escape_steps(context.mission, i)
+        when = max(1, context.leg.steps - int(clock[i])), around.escape_steps(mission, i)
         if when not in places:
-            places[when] = find_places(context, *when)
-        blocked[i] = find_blocked(context, i, places[when])
+            places[when] = find_places(context, around, *when)
+        paths, others, clearance = places[when]
+        known = around.known_to(mission, i, others, clearance)
+        if known is not None:
+            wide = known._replace(clearance=required_separations(known.clearance))
+            blocked[i] = [not is_path_clear(path, wide) for path in paths]
     return blocked if blocked.any() else None
 
 
