@@ -174,31 +174,27 @@ def model_error_on_arrival(mission: Reconfiguration) -> tuple[float, float]:
 
 
 def _fly_alone(mission: Reconfiguration) -> Iterator[tuple[float, Leg, list[Trajectory]]]:
-    """Yield the begin [s] of each leg, and the transfers of an assignment, where there are any."""
-    begin, start = 0.0, mission.initial_states[mission.alive]
-    for leg in mission.legs:
-        if paths := _solve_alone(mission, start, leg, begin):
-            yield begin, leg, paths
-        start, begin = leg.targets, begin + leg.steps * mission.step
+    """Yield the begin [s] of each leg, and the transfers of an assignment, where there are any.
 
-
-def _solve_alone(
-    mission: Reconfiguration, start: Float[Array, "k n"], leg: Leg, t: float
-) -> list[Trajectory]:
-    """Solve the transfers of an assignment, for the weakest vehicle; without those out of reach."""
+    They are those of the weakest vehicle, without those out of reach.
+    """
     from scipy.optimize import linear_sum_assignment
 
     from problems.auction_cost import compute_energies
     from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 
-    model = mission.discretize(leg.steps, t)
     most = [float(limit.most * limit.shares.min()) for limit in mission.control_limits]
-    transfer = mission.make_transfer(model, int(np.argmin(most)), objective=mission.objective)
-    rows = columns = np.arange(min(len(start), len(leg.targets)))
-    if mission.assignment != "given":
-        rows, columns = linear_sum_assignment(compute_energies(model, start, leg.targets))
-    found, _ = solve_solo_transfers(transfer, start[rows], leg.targets[columns])
-    return [path for path in found if path is not None]
+    begin, start, weakest = 0.0, mission.initial_states[mission.alive], int(np.argmin(most))
+    for leg in mission.legs:
+        model = mission.discretize(leg.steps, begin)
+        transfer = mission.make_transfer(model, weakest, objective=mission.objective)
+        rows = columns = np.arange(min(len(start), len(leg.targets)))
+        if mission.assignment != "given":
+            rows, columns = linear_sum_assignment(compute_energies(model, start, leg.targets))
+        found, _ = solve_solo_transfers(transfer, start[rows], leg.targets[columns])
+        if paths := [path for path in found if path is not None]:
+            yield begin, leg, paths
+        start, begin = leg.targets, begin + leg.steps * mission.step
 
 
 def _uncorrected_steps(mission: Reconfiguration, paths: list[Trajectory]) -> int:
