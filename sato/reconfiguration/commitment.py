@@ -81,8 +81,9 @@ def choose_offers(
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
         moved = np.unique(np.where(is_lower, i[met], j[met]))
         if is_confirmed:
-            some = first[changed], second[changed], allowed[changed]
-            is_free[changed] = are_clear_of_held(offers.paths[rows, choice], held, *some)
+            both = np.concatenate([offers.paths[rows, choice], held])
+            some = first[changed], len(rows) + second[changed], allowed[changed]
+            is_free[changed] = are_paths_separated(both, *some)
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
@@ -153,17 +154,6 @@ def held_distances(
     kept = hull_distance(held[i[near]] - held[j[near]])[0].min(axis=1, initial=np.inf)
     found[near] = np.minimum(radius[near], kept * (1 - ROUNDING))
     return found
-
-
-def are_clear_of_held(
-    paths: Float[Array, "agents pieces 4 d"],
-    held: Float[Array, "agents pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
-) -> Bool[Array, " pairs"]:
-    """Find the pairs in which the path of i is clear of what j has committed to."""
-    return are_paths_separated(np.concatenate([paths, held]), i, len(paths) + j, radius)
 
 
 def next_choice(is_allowed: Bool[Array, " choices"], choice: int) -> int:
@@ -269,7 +259,7 @@ def find_waits(
     i, j = graph.pairs_among(offers.agents)
     i, j, held = np.append(i, j), np.append(j, i), offers.held_paths
     radius = held_distances(held, i, j, (offers.clearance[i] + offers.clearance[j]) / 2)
-    meets = ~are_clear_of_held(paths, held, i, j, radius)
+    meets = ~are_paths_separated(np.concatenate([paths, held]), i, len(paths) + j, radius)
     return offers.agents[i[meets]], offers.agents[j[meets]]
 
 
