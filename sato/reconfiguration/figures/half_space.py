@@ -9,12 +9,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy import ndarray as Array
 from scipy.spatial import ConvexHull
 
-from dynamics.trajectory_geometry import (
-    ClosestApproach,
-    control_points,
-    evaluate_bezier,
-    hull_distance,
-)
+from dynamics.trajectory_geometry import control_points, evaluate_bezier, hull_distance
 from sato.figures.axes import add_legend, add_titles
 from sato.figures.style import BLUE, DARK_GRAY, GREEN, ORANGE, RED
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
@@ -101,7 +96,8 @@ def find_encounter(record: ReconfigurationRecord) -> Encounter:
     on the plane that fits the step and the closest approach best.
     """
     mission, d = record.mission, record.mission.axes
-    least = _find_closest(record)
+    is_relative = mission.has_own_separations
+    least = (record.relative_separations if is_relative else record.separations)[0].minimum
     i, j = least.pair
     radius, near = float(mission.radii[[i, j]].mean()), least.piece // record.pieces_per_step
     x = record.state[:, j] - record.state[:, i]
@@ -120,13 +116,8 @@ def find_encounter(record: ReconfigurationRecord) -> Encounter:
     shown = shown[is_there[shown]]
     parts = np.tile(np.arange(POINTS_PER_STEP) / POINTS_PER_STEP, len(shown))
     path = evaluate_bezier(pieces[np.repeat(shown, POINTS_PER_STEP)], parts)
-    distance = least.distance * radius if mission.has_own_separations else least.distance
+    distance = least.distance * radius if is_relative else least.distance
     return Encounter(
         (i, j), radius, float(record.time[k]), pieces[k] @ plane.T, path @ plane.T,
         closest @ plane.T, distance,
     )  # fmt: skip
-
-
-def _find_closest(record: ReconfigurationRecord) -> ClosestApproach:
-    is_relative = record.mission.has_own_separations
-    return (record.relative_separations if is_relative else record.separations)[0].minimum
