@@ -186,21 +186,16 @@ def _measure_shape(record: ReconfigurationRecord, leg: LegRecord) -> dict[str, f
     if record.mission.legs[leg.leg_index].is_free and not is_given:
         return {}
     left_out = record.find_left_out(leg)
-    distance = _distances_to_agents(record, leg)
-    is_open = ~np.isin(np.arange(len(distance)), left_out)
-    m, distance = leg.largest_target_count, distance[is_open]
-    is_hole = ~(distance[:m] <= record.mission.position_tolerance)
-    spacing = min_distance(record.leg_targets(leg)[is_open][:m, : record.mission.axes])
-    gap = float(distance.max(initial=0.0)) / spacing if 0 < spacing < np.inf else np.nan
-    found = {"holes": int(is_hole.sum()), "gap": gap}
-    return found | ({"blocked": len(left_out)} if len(left_out) else {})
-
-
-def _distances_to_agents(record: ReconfigurationRecord, leg: LegRecord) -> Float[Array, " targets"]:
-    # From each target to its nearest live agent.
     targets = record.leg_targets(leg)[:, : record.mission.axes]
     agents = record.frames.position[leg.end_index, leg.alive]
     agents = agents[np.isfinite(agents).all(axis=1)]
-    if not len(agents):
-        return np.full(len(targets), np.inf)
-    return np.asarray(cKDTree(agents).query(targets)[0])
+    distance = np.full(len(targets), np.inf)  # from each target to its nearest live agent
+    if len(agents):
+        distance, _ = cKDTree(agents).query(targets)
+    is_open = ~np.isin(np.arange(len(distance)), left_out)
+    m, distance = leg.largest_target_count, distance[is_open]
+    is_hole = ~(distance[:m] <= record.mission.position_tolerance)
+    spacing = min_distance(targets[is_open][:m])
+    gap = float(distance.max(initial=0.0)) / spacing if 0 < spacing < np.inf else np.nan
+    found = {"holes": int(is_hole.sum()), "gap": gap}
+    return found | ({"blocked": len(left_out)} if len(left_out) else {})
