@@ -17,7 +17,6 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.passive_safety import begin_passively_safe
 from sato.reconfiguration.plan import Plan, Plans, is_held, remaining_controls
-from sato.reconfiguration.relaxation import list_relaxations
 from sato.reconfiguration.solo_trajectories import relinearize, solve_solo_trajectories
 from sato.reconfiguration.state import DecisionContext, Event
 from sato.scp import CONVERGENCE_TOLERANCE, FEASIBILITY_TOLERANCE, Planner, resolve_conflicts
@@ -78,7 +77,7 @@ def make_plans(
     `hears_all` is True where all agents of the mission hear each other, without a relay.
     """
     mission, k, target = context.mission, context.step_index, context.memory.target_index
-    events = list_relaxations(mission, planners, unreachable)
+    events = _list_relaxations(mission, planners, unreachable)
     relaxed = {i for event in events for i in event["agents"]}
     # An agent that comes too close to another may still arrive.
     astray = {i for event in events if event["kind"] != "slack" for i in event["agents"]}
@@ -97,6 +96,35 @@ def make_plans(
     if mission.commits:  # a trajectory for which separation was relaxed is not flown
         events = [event for event in events if event["kind"] == "braked"]
     return plans, events
+
+
+def _list_relaxations(
+    mission: Reconfiguration, planners: dict[int, Planner], unreachable: Sequence[int]
+) -> list[Event]:
+    """List the agents for which constraints were relaxed, or whose targets are out of reach."""
+    tolerance = FEASIBILITY_TOLERANCE * mission.least_separation
+    slack = {i: p.slack for i, p in planners.items() if p.slack > tolerance}
+    failed = [i for i, p in planners.items() if p.has_failed]
+    missing = [i for i, p in planners.items() if _misses_target(mission, p)]
+    astray = {*unreachable, *failed, *missing}
+    beyond = "the target is out of reach in the time that is left"
+    blocked = "no trajectory keeps clear of agents with priority"
+    events: list[Event] = [
+        {"kind": "slack", "agents": list(slack), "amount_m": list(slack.values())},
+        {"kind": "braked", "agents": [i for i in planners if i in astray]},
+        {"kind": "infeasible", "agents": [*unreachable], "what": beyond},
+        {"kind": "infeasible", "agents": failed, "what": blocked},
+    ]
+    return [event for event in events if event["agents"]]
+
+
+def _misses_target(mission: Reconfiguration, planner: Planner) -> bool:
+    d, error = mission.axes, np.abs(planner.nominal.x[-1] - planner.target_state)
+    is_far = (error[:d] > mission.position_tolerance).any()
+    is_fast = (error[d:] > mission.velocity_tolerance).any()
+    # A plan of no steps, made after the deadline, leads nowhere, and none was solved for.
+    is_inexact = planner.terminal_error > 0 or len(planner.nominal.u) == 0
+    return is_inexact and bool(is_far or is_fast)
 
 
 def make_horizon(
