@@ -19,23 +19,11 @@ from dynamics.doors import checked
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import are_hulls_separated, are_paths_separated, enclosing_balls
+from sato.reconfiguration import stopping
 from sato.reconfiguration.evasion import EvasionReport, find_evasions
 from sato.reconfiguration.free_motion import simulate
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.planning import divide_horizon
-from sato.reconfiguration.stopping import (
-    Avoided,
-    Commitment,
-    Commitments,
-    add_steps,
-    committed_controls,
-    find_stop,
-    held_controls,
-    longest_way,
-    pad_controls,
-    stays_within_reach,
-    stopping_horizon,
-)
 from sato.reconfiguration.surroundings import Surroundings, find_surroundings
 from sato.scenario.errors import InputError, join_names, round_down, round_up
 from sato.scp.planner import PASSING_SIDES
@@ -46,7 +34,7 @@ SLOWER = 2  # times the time of the slowest stop, in which all come to rest
 
 @checked
 @lru_cache(maxsize=2)  # asked for when a mission is drawn, and when it is flown
-def find_first_commitments(mission: Reconfiguration) -> Commitments:
+def find_first_commitments(mission: Reconfiguration) -> stopping.Commitments:
     """Find stopping trajectories, clear of each other, for all that are there at the start.
 
     Args:
@@ -87,12 +75,12 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
             here = horizon.scale_points(start[a, :d])
             near = _find_near(mission, here, a, paths, clearance)
             radius = (clearance[near] + clearance[a]) / 2
-            avoided = Avoided(paths[near], radius, obstacles[a])
+            avoided = stopping.Avoided(paths[near], radius, obstacles[a])
             rest = np.concatenate([horizon.unscale_points(paths[a, -1, -1]), np.zeros(d)])
             aim = int(agents[a]), start[a], rest, horizon.steps - 1
             for side in PASSING_SIDES[d]:
-                found = find_stop(mission, horizon, *aim, paths[a], avoided, side=side)
-                if found is not None and stays_within_reach(mission, horizon, *found[1:]):
+                found = stopping.find_stop(mission, horizon, *aim, paths[a], avoided, side=side)
+                if found is not None and stopping.stays_within_reach(mission, horizon, *found[1:]):
                     u[a], _, paths[a] = found
                     break
         meeting, met = _find_meeting(paths, clearance), find_met()
@@ -115,7 +103,7 @@ def find_first_commitments(mission: Reconfiguration) -> Commitments:
             "slowly, or a larger model.max_control_m_s2 would do",
         )
     if not len(meeting):
-        return {i: Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
+        return {i: stopping.Commitment(0, own) for i, own in zip(agents.tolist(), u, strict=True)}
     i, j = meeting[0]
     speeds = np.linalg.norm(start[[i, j], d:], axis=1)
     raise InputError(
@@ -132,7 +120,7 @@ class Traffic(NamedTuple):
     mission: Reconfiguration  # drawn
     x: Float[Array, "agents n"]  # states of all; of those that join, the ones with which they do
     alive: Bool[Array, " agents"]  # True for those that are there
-    committed: Commitments  # what these have committed to
+    committed: stopping.Commitments  # what these have committed to
     instant: int  # steps since the start of the mission
     around: Surroundings | None  # at this instant, of which those that join need not know
 
@@ -172,8 +160,8 @@ class Traffic(NamedTuple):
         """Return T_H steps, and control points, of agents in orbit that decide no more."""
         mission, T, t = self.mission, self.mission.horizon_steps, self.instant * self.mission.step
         own = self.committed, self.instant
-        held = [committed_controls(mission, i, *own)[:T] for i in agents.tolist()]
-        u, horizon = pad_controls(held, T), divide_horizon(mission, t, T)
+        held = [stopping.committed_controls(mission, i, *own)[:T] for i in agents.tolist()]
+        u, horizon = stopping.pad_controls(held, T), divide_horizon(mission, t, T)
         x = simulate(mission, self.x[agents], u, t, mission.step)
         return horizon, horizon.control_points(x, u)
 
@@ -197,7 +185,7 @@ def _fly_on(
     mission: Reconfiguration,
     agents: Int[Array, " agents"],
     state: Float[Array, "agents n"],
-    committed: Commitments,
+    committed: stopping.Commitments,
     instant: int,
     least: int = 0,
 ) -> tuple[AvoidanceHorizon, Array, Array, Array]:
@@ -205,10 +193,12 @@ def _fly_on(
 
     Over so many steps at least.
     """
-    each, length = held_controls(mission, agents, state[:, mission.axes :], committed, instant)
+    each, length = stopping.held_controls(
+        mission, agents, state[:, mission.axes :], committed, instant
+    )
     steps = SLOWER * int(length.max()) + mission.horizon_steps
-    u = add_steps(each, max(steps, least))
-    horizon = stopping_horizon(mission, u.shape[1])
+    u = stopping.add_steps(each, max(steps, least))
+    horizon = stopping.stopping_horizon(mission, u.shape[1])
     x = horizon.discrete_model.simulate(state, u)
     return horizon, u, x, horizon.control_points(x, u)
 
@@ -269,7 +259,7 @@ def check_stops(
     agents: Int[Array, " agents"],
     state: Float[Array, "agents n"],
     where: str,
-    committed: Commitments | None = None,
+    committed: stopping.Commitments | None = None,
     instant: int = 0,
 ) -> None:
     """Refuse states from which vehicles that decide no more do not stop within reach.
@@ -289,7 +279,7 @@ def check_stops(
     if not mission.is_point_mass or not state[:, d:].any():
         return
     horizon, _, x, paths = _fly_on(mission, agents, state, committed or {}, instant)
-    far = np.flatnonzero(~stays_within_reach(mission, horizon, x, paths))
+    far = np.flatnonzero(~stopping.stays_within_reach(mission, horizon, x, paths))
     if len(far):
         a = int(far[0])
         way = float(np.linalg.norm(x[a, -1, :d] - x[a, 0, :d]))
@@ -315,7 +305,7 @@ def _find_near(
     """Find the others that a vehicle could meet on any way on which it stays within reach."""
     middle, extent = enclosing_balls(paths)
     wide = max(mission.separation_scale or (1.0,))
-    most = wide * longest_way(mission) + extent + (clearance + clearance[agent]) / 2
+    most = wide * stopping.longest_way(mission) + extent + (clearance + clearance[agent]) / 2
     near = np.flatnonzero(np.linalg.norm(middle - start, axis=1) <= most)
     return np.asarray(near[near != agent])
 

@@ -17,17 +17,11 @@ from sato.network.flooding import census_rounds
 from sato.network.graph import CommunicationGraph, Pairs
 from sato.network.load import Load
 from sato.network.synchronizer import Synchronizer
+from sato.reconfiguration import stopping
 from sato.reconfiguration.commitment import NOBODY
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans
 from sato.reconfiguration.state import AgentMemory, DecisionContext, Event
-from sato.reconfiguration.stopping import (
-    Commitment,
-    Commitments,
-    committed_controls,
-    held_controls,
-    pad_controls,
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +31,7 @@ class Outcome:
     agents: Bool[Array, " agents"]  # that have decided
     memory: AgentMemory
     plans: Plans
-    committed: Commitments
+    committed: stopping.Commitments
     events: list[Event]
     was_reset: Bool[Array, " agents"]  # the clock was set back
     blocked: Bool[Array, "agents targets"] | None  # targets that were left out
@@ -126,15 +120,17 @@ def whole_steps(mission: Reconfiguration, delay: Float[Array, " agents"]) -> lis
     return np.minimum(np.rint(delay / mission.step), most).astype(int).tolist() if most else []
 
 
-def stop_at_once(mission: Reconfiguration, number: int, state: Array, instant: int) -> Commitment:
+def stop_at_once(
+    mission: Reconfiguration, number: int, state: Array, instant: int
+) -> stopping.Commitment:
     """Return the commitment of an agent that has made none: it stops."""
     alone, velocity = np.array([number]), state[None, mission.axes :]
-    (u,), (steps,) = held_controls(mission, alone, velocity, {}, instant)
-    return Commitment(instant, u[:steps])
+    (u,), (steps,) = stopping.held_controls(mission, alone, velocity, {}, instant)
+    return stopping.Commitment(instant, u[:steps])
 
 
 def foresee(
-    context: DecisionContext, committed: Commitments, has_begun: Bool[Array, " agents"]
+    context: DecisionContext, committed: stopping.Commitments, has_begun: Bool[Array, " agents"]
 ) -> DecisionContext:
     """Return the context in which agents find themselves when they take up a decision.
 
@@ -142,9 +138,9 @@ def foresee(
     """
     mission, lag, around = context.mission, context.mission.lag_steps, context.surroundings
     each, instant = range(len(context.state)), context.instant
-    held = [committed_controls(mission, i, committed, instant)[:lag] for i in each]
+    held = [stopping.committed_controls(mission, i, committed, instant)[:lag] for i in each]
     model = mission.discretize(lag, context.time)
-    x = model.simulate(context.state, pad_controls(held, lag))[:, -1]
+    x = model.simulate(context.state, stopping.pad_controls(held, lag))[:, -1]
     if around is not None:
         state, d = around.state.copy(), mission.axes
         state[:, :d] += lag * mission.step * state[:, d:]

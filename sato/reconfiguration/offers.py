@@ -10,22 +10,11 @@ from numpy import ndarray as Array
 from problems.convexify import AvoidanceHorizon
 from problems.obstacle_paths import is_path_clear
 from problems.path_separation import enclosing_balls
+from sato.reconfiguration import stopping
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.passive_safety import OfferedDrifts
 from sato.reconfiguration.plan import Plan, Plans
 from sato.reconfiguration.state import DecisionContext
-from sato.reconfiguration.stopping import (
-    Commitments,
-    add_steps,
-    bounding_boxes,
-    count_moving_steps,
-    end_at_rest,
-    held_controls,
-    longest_way,
-    pad_controls,
-    stays_within_reach,
-    stopping_horizon,
-)
 from sato.scp.planner import reaches_target
 
 NEGLIGIBLE = 1e-9  # of the largest control: what is less is rounding
@@ -97,7 +86,7 @@ class Offers(NamedTuple):
         return self.paths[rows, np.full(len(rows), self.last)]
 
 
-def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) -> Offers:
+def make_offers(context: DecisionContext, plans: Plans, committed: stopping.Commitments) -> Offers:
     """Make the offers of the agents that have planned.
 
     An agent that has not committed to anything stops at once.
@@ -110,8 +99,8 @@ def make_offers(context: DecisionContext, plans: Plans, committed: Commitments) 
     # An agent that has no steps left needs some to return to its target.
     lengths = np.maximum(mission.horizon_steps, controls.length)
     agents, steps = np.array(list(plans)), 1 + lengths[index].max(axis=1)
-    horizon = stopping_horizon(mission, int(steps.max()))
-    u = add_steps(controls.u, horizon.steps)
+    horizon = stopping.stopping_horizon(mission, int(steps.max()))
+    u = stopping.add_steps(controls.u, horizon.steps)
     start = context.state[agents[controls.row]]
     paths, is_near, (low, high) = _fly(mission, horizon, start, u, index)
     is_allowed = is_near[index] & is_begun
@@ -145,17 +134,17 @@ def _fly(
     """
     parts, part_of, place = list[Array](), *np.empty((2, len(u)), dtype=int)
     low, high = np.empty((2, len(u), mission.axes))
-    is_near, moving = np.empty(len(u), dtype=bool), count_moving_steps(u)
+    is_near, moving = np.empty(len(u), dtype=bool), stopping.count_moving_steps(u)
     most, first = 1, -1
     while first < horizon.steps:
         some = np.flatnonzero((moving > first) & (moving <= most))
         if len(some):
-            own = stopping_horizon(mission, most)
-            controls = add_steps(u[some, :most], most)
+            own = stopping.stopping_horizon(mission, most)
+            controls = stopping.add_steps(u[some, :most], most)
             x = own.discrete_model.simulate(start[some], controls)
             part = own.control_points(x, controls)
-            is_near[some] = stays_within_reach(mission, own, x, part)
-            low[some], high[some] = bounding_boxes(part)
+            is_near[some] = stopping.stays_within_reach(mission, own, x, part)
+            low[some], high[some] = stopping.bounding_boxes(part)
             part_of[some], place[some] = len(parts), np.arange(len(some))
             parts.append(part[:, : len(horizon.fine_model)])
         first, most = most, 2 * most
@@ -171,7 +160,7 @@ def _add_rest(
     Before these there are as many steps at least, in which an agent may get out of the way.
     """
     least = NEGLIGIBLE * float(mission.largest_control.max())
-    moving = count_moving_steps(np.where(np.abs(controls.u) < least, 0.0, controls.u))
+    moving = stopping.count_moving_steps(np.where(np.abs(controls.u) < least, 0.0, controls.u))
     longer = np.maximum(controls.length, np.maximum(moving, steps) + steps)
     return np.where(steps > 0, longer, controls.length)
 
@@ -208,7 +197,10 @@ class OfferedControls(NamedTuple):
 
 
 def _list_controls(
-    context: DecisionContext, plans: Plans, committed: Commitments, plan_steps: tuple[int, ...]
+    context: DecisionContext,
+    plans: Plans,
+    committed: stopping.Commitments,
+    plan_steps: tuple[int, ...],
 ) -> tuple[OfferedControls, Int[Array, "agents choices"], Bool[Array, "agents choices"]]:
     """List the controls that are offered, and the place in this list of each agent's choices.
 
@@ -216,7 +208,9 @@ def _list_controls(
     """
     mission, agents = context.mission, np.array(list(plans))
     velocity = context.state[agents, mission.axes :]
-    held, held_length = held_controls(mission, agents, velocity, committed, context.instant)
+    held, held_length = stopping.held_controls(
+        mission, agents, velocity, committed, context.instant
+    )
     rests, within = _list_rests(context, plans)
     # As many steps of the plan, or all that are left; of equal choices the first.
     steps = np.minimum(plan_steps[:-1], np.array([len(rest) for rest in rests])[:, None])
@@ -227,13 +221,13 @@ def _list_controls(
     index = np.tile(np.arange(len(agents))[:, None], len(plan_steps))
     latest = len(agents) - 1 + is_new.cumsum().reshape(is_new.shape)
     index[is_begun] = latest[is_begun[:, :-1]]
-    begun = pad_controls(rests)
+    begun = stopping.pad_controls(rests)
     for limit, some in mission.group_by_limit(agents):
         begun[some] = limit.cut(begun[some])
     own = agents[row], velocity[row], begun[row], steps[row, choice]
-    u, length = end_at_rest(mission, *own)
+    u, length = stopping.end_at_rest(mission, *own)
     T = max(held.shape[1], u.shape[1])
-    both = np.concatenate([add_steps(held, T), add_steps(u, T)])
+    both = np.concatenate([stopping.add_steps(held, T), stopping.add_steps(u, T)])
     rows = np.concatenate([np.arange(len(agents)), row])
     return OfferedControls(rows, both, np.concatenate([held_length, length])), index, is_begun
 
@@ -248,9 +242,9 @@ def _list_rests(
         left = slice(begin, begin if is_kept(context, plan) else None)
         rests.append(plan.trajectory.u[left])
         ways.append(plan.trajectory.x[left, : mission.axes])
-    position, length = pad_controls(ways), np.array([len(way) for way in ways])
+    position, length = stopping.pad_controls(ways), np.array([len(way) for way in ways])
     away = position - position[:, :1]
-    is_far = np.einsum("akd,akd->ak", away, away) > longest_way(mission) ** 2
+    is_far = np.einsum("akd,akd->ak", away, away) > stopping.longest_way(mission) ** 2
     is_far |= np.arange(position.shape[1]) >= length[:, None]
     return rests, (~is_far).cumprod(axis=1).sum(axis=1)
 
