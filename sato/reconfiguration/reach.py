@@ -9,21 +9,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
+from sato.reconfiguration import pair_reach
 from sato.reconfiguration.departure import Departure, count_wanted, depart_leg, room_at_start
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.pair_reach import (
-    ORBIT_TIME,
-    STEP_TIME,
-    Budget,
-    Undecided,
-    are_at_rest,
-    bound_controls,
-    bound_reach,
-    find_unmatched,
-    group_alike,
-    is_surely_reached,
-    is_too_large,
-)
 from sato.scenario.errors import InputError, join_names, round_up
 
 MAX_TIME_FACTOR = 64  # times the steps that were asked for; beyond, time is not what is missing
@@ -48,7 +36,7 @@ def check_reach(
     and such programs too, and proven: less may be enough. States to reach in a leg are given after
     a number of steps, where they depend on it.
     """
-    budget = Budget(CHECK_TIME)
+    budget = pair_reach.Budget(CHECK_TIME)
     for number, leg in enumerate(mission.legs):
         if departure := depart_leg(mission, number):
             wanted = leg.targets[: count_wanted(mission, number)]
@@ -61,14 +49,14 @@ def _check_leg(
     departure: Departure,
     targets: Float[Array, "k n"],
     targets_after: TargetsAfter,
-    budget: Budget,
+    budget: pair_reach.Budget,
 ) -> None:
     mission = departure.mission
     steps, control = mission.legs[number].steps, float(mission.largest_control.max())
     room = 1.0 if number == 0 else room_at_start(departure, steps)
     try:
         fault = find_stranded(departure, targets, steps, room, budget=budget)
-    except Undecided:
+    except pair_reach.Undecided:
         return
     if fault is None:
         return
@@ -110,21 +98,23 @@ class _Search:
 
     def __init__(self, departure: Departure, targets_after: TargetsAfter, seconds: float) -> None:
         self.departure, self.targets_after = departure, targets_after
-        self.budget = Budget(seconds)
-        self.bounds = cache(lambda steps: bound_controls(departure, targets_after(steps), steps))
+        self.budget = pair_reach.Budget(seconds)
+        self.bounds = cache(
+            lambda steps: pair_reach.bound_controls(departure, targets_after(steps), steps)
+        )
 
     def is_enough(self, steps: float, factor: float = 1.0, trusts_bounds: bool = False) -> bool:
         steps, departure, mission = int(steps), self.departure, self.departure.mission
         try:
-            each = STEP_TIME[mission.linear_model.is_time_invariant]
+            each = pair_reach.STEP_TIME[mission.linear_model.is_time_invariant]
             if mission.chief is not None:  # in the time of which targets move
-                self.budget.spend(max(ORBIT_TIME, each) * steps)
+                self.budget.spend(max(pair_reach.ORBIT_TIME, each) * steps)
             targets = self.targets_after(steps)
-            if mission.chief is None and not are_at_rest(departure, targets):
+            if mission.chief is None and not pair_reach.are_at_rest(departure, targets):
                 self.budget.spend(each * steps)
             own = steps, factor, self.bounds, self.budget
             return find_stranded(departure, targets, *own) is None
-        except Undecided as undecided:
+        except pair_reach.Undecided as undecided:
             return trusts_bounds and undecided.is_too_large
 
 
@@ -180,7 +170,7 @@ def find_stranded(
     steps: int,
     factor: float = 1.0,
     bounds: Callable[[int], Float[Array, "2 k targets"]] | None = None,
-    budget: Budget | None = None,
+    budget: pair_reach.Budget | None = None,
 ) -> str | None:
     """Say which agent has no target that it can reach, and why; None where each has one.
 
@@ -188,34 +178,34 @@ def find_stranded(
     are solved one by one, as far as an assignment depends on them, and as the budget allows;
     Undecided where more would be needed.
     """
-    budget = budget or Budget(CHECK_TIME)
+    budget = budget or pair_reach.Budget(CHECK_TIME)
     is_short, given = steps <= MAX_ENERGY_STEPS, None
-    if not are_at_rest(departure, targets):
-        if is_short and is_surely_reached(departure, targets, steps, factor):
+    if not pair_reach.are_at_rest(departure, targets):
+        if is_short and pair_reach.is_surely_reached(departure, targets, steps, factor):
             return None
-        given = (bounds or partial(bound_controls, departure, targets))(steps)
+        given = (bounds or partial(pair_reach.bound_controls, departure, targets))(steps)
     agents, spare = departure.agents, departure.spare
     names = departure.names or [f"agent {i}" for i in agents]
     possible, sure = np.zeros((2, len(agents), len(targets)), dtype=bool)
-    for rows in group_alike(departure, factor):
+    for rows in pair_reach.group_alike(departure, factor):
         part, own = departure.select(rows), None if given is None else given[:, rows]
-        possible[rows], sure[rows] = bound_reach(part, targets, steps, factor, own)
+        possible[rows], sure[rows] = pair_reach.bound_reach(part, targets, steps, factor, own)
     if departure.mission.assignment == "given":
         is_own = agents[:, None] == np.arange(len(targets))
         possible, sure = possible & is_own, sure & is_own
-    has_many = departure.mission.assignment != "given" and is_too_large(possible, steps)
+    has_many = departure.mission.assignment != "given" and pair_reach.is_too_large(possible, steps)
     while True:
         none = np.flatnonzero(~possible.any(axis=1))
         if len(none) > departure.lost:
             return f"{names[none[0]]} can reach none of its targets"
         unsure = np.flatnonzero(~sure.any(axis=1))
-        if find_unmatched(sure).sum() <= spare and len(unsure) <= departure.lost:
+        if pair_reach.find_unmatched(sure).sum() <= spare and len(unsure) <= departure.lost:
             return None
-        if (left := find_unmatched(possible)).sum() > spare:
+        if (left := pair_reach.find_unmatched(possible)).sum() > spare:
             why = "for the others need all that it can reach,"
             return f"{names[np.flatnonzero(left)[0]]} is left without a target, {why}"
         if has_many and given is not None:
-            raise Undecided(is_too_large=True)
+            raise pair_reach.Undecided(is_too_large=True)
         doubt = np.where(sure, 0, np.where(possible, 1, 1 + len(agents)))
         pairs = np.transpose(linear_sum_assignment(doubt)).tolist()
         if spare > departure.lost:  # some share targets, and each has to reach one
