@@ -23,15 +23,7 @@ from problems.obstacle_paths import ObstaclePaths, are_pieces_clear
 from sato.network.encoding import CHOICE, CLEARANCE, REAL
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load
-from sato.reconfiguration.commitment import (
-    CommitmentChoice,
-    are_clear,
-    choose_offers,
-    leave,
-    leaves_plan,
-    list_pairs,
-    rank_of,
-)
+from sato.reconfiguration import commitment
 from sato.reconfiguration.free_motion import drift_freely, free_motion, simulate
 from sato.reconfiguration.offers import Offers
 from sato.reconfiguration.orbital_evasion import (
@@ -195,7 +187,7 @@ def commit_in_orbit(
     committed: Commitments,
     previous: Plans,
     clocks: Int[Array, " agents"],
-) -> CommitmentChoice:
+) -> commitment.CommitmentChoice:
     """Commit the agents that have planned to trajectories that they have checked.
 
     The clocks are those before they decided, and `previous` the plans before these.
@@ -222,7 +214,7 @@ def commit_in_orbit(
             near = graph.adjacency[offers.agents[row], offers.agents]
             clearance = (offers.clearance[row] + offers.clearance[near]) / 2
             offers = offer_detour(offers, row, each, offers.paths[near, -1], clearance)
-        choice, more = choose_in_orbit(offers, graph, rank_of(offers, own))
+        choice, more = choose_in_orbit(offers, graph, commitment.rank_of(offers, own))
         keeps, load = choice == offers.last, load.plus(more)
         if context.instant == 0:
             check_start(offers, choice, graph)
@@ -231,11 +223,11 @@ def commit_in_orbit(
         kept += offers.agents[keeps].tolist()
         evading += offers.agents[(choice > 0) & ~keeps].tolist()
     flown |= {i: keep_previous(plans[i], previous.get(i)) for i in kept}
-    flown |= {i: leave(context, plans[i]) for i in evading}
-    left = {i for i in kept if leaves_plan(plans[i])}.union(evading)
+    flown |= {i: commitment.leave(context, plans[i]) for i in evading}
+    left = {i for i in kept if commitment.leaves_plan(plans[i])}.union(evading)
     if context.mission.is_passively_safe:  # others pass on each message
         load = load.relayed(context.graph.diameter)
-    return CommitmentChoice(done, flown, sorted(left), load)
+    return commitment.CommitmentChoice(done, flown, sorted(left), load)
 
 
 def are_plans_clear(context: DecisionContext, plans: Plans) -> bool:
@@ -259,11 +251,11 @@ def choose_in_orbit(
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
     """
-    i, j, radius = list_pairs(offers, graph)
+    i, j, radius = commitment.list_pairs(offers, graph)
     held = np.full(len(offers.agents), offers.last)
-    met = ~are_clear(offers, held, i, j, radius)
+    met = ~commitment.are_clear(offers, held, i, j, radius)
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
-    choice, load = choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
+    choice, load = commitment.choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
     own = offers.agents, int(offers.steps[0]), offers.paths[:1, 0].shape[-1]
     return choice, load.plus(_count_holding(graph, *own))
@@ -281,8 +273,8 @@ def _count_holding(
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:
     """Refuse a mission whose first commitments are not clear of each other."""
-    i, j, radius = list_pairs(offers, graph)
-    met = np.flatnonzero(~are_clear(offers, choice, i, j, radius))
+    i, j, radius = commitment.list_pairs(offers, graph)
+    met = np.flatnonzero(~commitment.are_clear(offers, choice, i, j, radius))
     if not len(met):
         return
     agent, other = (int(offers.agents[rows[met[0]]]) for rows in (i, j))
