@@ -19,18 +19,8 @@ from sato.check.report import (
     expect_none,
     expect_small_error,
 )
+from sato.reconfiguration.check import fuel, legs
 from sato.reconfiguration.check.clearance import find_excess
-from sato.reconfiguration.check.fuel import (
-    compute_energy_shortfall,
-    compute_fuel_shortfall,
-    compute_step_fuel,
-)
-from sato.reconfiguration.check.legs import (
-    check_assignment,
-    check_blocked,
-    check_legs,
-    check_target_counts,
-)
 from sato.reconfiguration.check.prediction import bound_speed_excess, redraw
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.check.summary import find_fault, is_reached, summarize
@@ -73,10 +63,10 @@ def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator)
         check_control_limit(record),
         check_speed_limit(record),
         check_targets(record),
-        check_legs(record),
-        check_assignment(record),
-        check_blocked(record),
-        check_target_counts(record),
+        legs.check_legs(record),
+        legs.check_assignment(record),
+        legs.check_blocked(record),
+        legs.check_target_counts(record),
         check_separation(record),
         check_obstacles(record),
         check_drifts(record),
@@ -299,14 +289,14 @@ def check_fuel(record: ReconfigurationRecord) -> Promise:
     as it would cost the model to correct that (`FuelBound.correction_fuel`). Where energy is the
     objective, so is its bound.
     """
-    burned, shortfalls = compute_step_fuel(record), [0.0]
+    burned, shortfalls = fuel.compute_step_fuel(record), [0.0]
     for k, (leg, bound) in enumerate(zip(record.leg_records, record.fuel_bounds, strict=True)):
         if not is_reached(record, leg):
             continue
         if bound is not None:
             used = float(burned[leg.start_index : leg.end_index, bound.agents].sum())
-            shortfalls.append(compute_fuel_shortfall(record, leg, bound, used))
+            shortfalls.append(fuel.compute_fuel_shortfall(record, leg, bound, used))
         if record.mission.objective == "energy":
-            shortfalls.append(compute_energy_shortfall(record, leg, record.energy_bounds[k]))
+            shortfalls.append(fuel.compute_energy_shortfall(record, leg, record.energy_bounds[k]))
     text = "a leg's fuel or energy below its lower bound, relative"
     return expect_small_error("fuel", np.maximum(shortfalls, 0), 1e-6, text)
