@@ -6,7 +6,10 @@ from math import degrees, floor, inf, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.sparse import csc_array
 
+from problems.conic import ConicProgram
+from problems.solvers import SolverAdapter, list_able, load_adapters
 from sato.reconfiguration import link_feasibility, passive_requirements
 from sato.reconfiguration.leg import Join, Leg, Loss
 from sato.scenario.definition import is_auto
@@ -86,11 +89,6 @@ def _check_printed(mission: "Reconfiguration") -> None:
 def _check_solver(mission: "Reconfiguration") -> None:
     if mission.solver == "clarabel":  # the default, which takes all
         return
-    from scipy.sparse import csc_array
-
-    from problems.conic import ConicProgram
-    from problems.solvers import SolverAdapter, list_able, load_adapters
-
     name, known = mission.solver, load_adapters()
     if name not in known:
         close = closest_name(name, known)

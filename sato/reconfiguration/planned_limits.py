@@ -3,13 +3,14 @@
 from dataclasses import replace
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from jaxtyping import Int
 from numpy import ndarray as Array
 
 from dynamics.discretize import DiscreteModel
 from problems.limit import Limit
+from problems.transfer import TransferProblem
 from sato.reconfiguration.tracking import (
     MAX_RESERVE,
     RESERVE_SIGMAS,
@@ -20,9 +21,6 @@ from sato.reconfiguration.tracking import (
 )
 from sato.reconfiguration.vehicles import Vehicles
 from sato.scenario.definition import Count, Positive, is_auto
-
-if TYPE_CHECKING:
-    from problems.transfer import TransferProblem
 
 
 class PlannedLimits(Vehicles):
@@ -239,10 +237,8 @@ class PlannedLimits(Vehicles):
         is_own = self.link.is_ideal
         return self.speed_limit(agent) if is_own else self.planned_speed_limit(agent)
 
-    def make_transfer(self, model: DiscreteModel, agent: Count, **more: Any) -> "TransferProblem":
+    def make_transfer(self, model: DiscreteModel, agent: Count, **more: Any) -> TransferProblem:
         """Make the transfer problem of an agent over some steps, at the speed of stops at most."""
-        from problems.transfer import TransferProblem
-
         names = "fuel_norm", "control_norm", "speed_norm"
         options: dict[str, Any] = {name: getattr(self, name) for name in names}
         options |= {"max_control": self.planned_control_limit(agent).bound}

@@ -7,6 +7,7 @@ import numpy as np
 
 from problems.auction_cost import compute_energies
 from problems.convexify import SEPARATION_TOLERANCE
+from sato.reconfiguration import tolerances
 from sato.reconfiguration.mission import Reconfiguration
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, join_names, round_down, round_up
@@ -25,8 +26,6 @@ def resolve(mission: Reconfiguration) -> Reconfiguration:
     is_computed = not mission.has_margin
     noise = wrong = (0.0, 0.0)
     if mission.has_noise or not mission.flies_model or mission.link.skew:
-        from sato.reconfiguration import tolerances
-
         noise = tolerances.noise_on_arrival(mission)
         wrong = wrong if given else tolerances.model_error_on_arrival(mission)
         margin = tolerances.compute_margin(mission) if is_computed else margin

@@ -6,10 +6,12 @@ from math import ceil, sqrt
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.optimize import linear_sum_assignment
 
 from dynamics.discretize import DiscreteModel, linearize_along
 from dynamics.j2 import J2
 from dynamics.plant import NonlinearPlant
+from problems.auction_cost import compute_energies, compute_transfer_costs
 from problems.transfer import Trajectory, TransferProblem
 from sato.reconfiguration.estimator import (
     GATE_SIGMAS,
@@ -22,6 +24,7 @@ from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.orbit import Chief
 from sato.reconfiguration.own_motion import is_own_plant
+from sato.reconfiguration.solo_trajectories import solve_solo_transfers
 from sato.reconfiguration.tracking import MAX_RESERVE, largest_disturbance
 
 MARGIN_SIGMAS = 5.0  # of random errors of the distance of two: exceeded once in 10⁶
@@ -178,11 +181,6 @@ def _fly_alone(mission: Reconfiguration) -> Iterator[tuple[float, Leg, list[Traj
 
     They are those of the weakest vehicle, without those out of reach.
     """
-    from scipy.optimize import linear_sum_assignment
-
-    from problems.auction_cost import compute_energies
-    from sato.reconfiguration.solo_trajectories import solve_solo_transfers
-
     most = [float(limit.most * limit.shares.min()) for limit in mission.control_limits]
     begin, start, weakest = 0.0, mission.initial_states[mission.alive], int(np.argmin(most))
     for leg in mission.legs:
@@ -276,10 +274,6 @@ def _final_covariance(mission: Reconfiguration, steps: int) -> Float[Array, "n n
 
 def _speed_to_lose(mission: Reconfiguration, steps: int) -> float:
     """Return the most speed that an agent has to lose on arrival [m/s]."""
-    from scipy.optimize import linear_sum_assignment
-
-    from problems.auction_cost import compute_transfer_costs
-
     d, fastest = mission.axes, float(mission.top_speeds.max())
     if mission.is_point_mass:
         states = np.concatenate([mission.initial_states, *(leg.targets for leg in mission.legs)])

@@ -1,14 +1,21 @@
 """Fuel and energy of a run, and lower bounds on them by the model that all agents share."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from problems.assignment import solve_assignment
+from problems.auction_cost import (
+    compute_energies,
+    compute_transfer_costs,
+    least_energies,
+    solve_transfer,
+)
 from problems.limit import vector_norm
+from problems.minimum_fuel import solve_minimum_fuel
+from problems.transfer import Objective, TransferProblem
 from sato.reconfiguration.check.prediction import predict_end_states
 from sato.reconfiguration.check.recorded import (
     AssignmentCost,
@@ -16,9 +23,6 @@ from sato.reconfiguration.check.recorded import (
     LegRecord,
     ReconfigurationRecord,
 )
-
-if TYPE_CHECKING:
-    from problems.transfer import Objective, TransferProblem
 
 MAX_PAIRS = 600  # pairs that are solved one by one, where no method for all at once exists
 
@@ -127,10 +131,8 @@ def compute_energy_shortfall(
 
 
 def _make_leg_costs(
-    record: ReconfigurationRecord, leg: LegRecord, objective: "Objective", limit_factor: float = 1.0
+    record: ReconfigurationRecord, leg: LegRecord, objective: Objective, limit_factor: float = 1.0
 ) -> "_LegCosts | None":
-    from problems.auction_cost import compute_energies, compute_transfer_costs
-
     mission, agents = record.mission, np.flatnonzero(leg.alive)
     targets, first = record.leg_targets(leg), leg.entry_index[agents]
     held = leg.target_index[agents]
@@ -186,12 +188,9 @@ def _correction_cost(
     record: ReconfigurationRecord,
     leg: LegRecord,
     held: Int[Array, " survivors"],
-    objective: "Objective",
+    objective: Objective,
 ) -> Float[Array, " survivors"]:
     # With fuel counted as |u|₁, which is at least as much as in the other norms.
-    from problems.auction_cost import least_energies
-    from problems.minimum_fuel import solve_minimum_fuel
-
     end = predict_end_states(record, leg, record.frames.control)
     error = record.targets[leg.leg_index, held] - end
     agents, first = np.flatnonzero(leg.alive), leg.entry_index[leg.alive]
@@ -222,12 +221,10 @@ class _LegCosts:
     given: Int[Array, " survivors"] | None  # where the mission assigns them
     cost: Float[Array, "survivors targets"]
     is_exact: Bool[Array, "survivors targets"]
-    problems: "dict[int, TransferProblem]"
+    problems: dict[int, TransferProblem]
 
     def solve(self, i: int, j: int) -> float:
         """Return the cost of a pair; infinite where the target is out of reach."""
-        from problems.auction_cost import solve_transfer
-
         if not self.is_exact[i, j]:
             problem = self.problems[i]
             transfer = solve_transfer(problem, self.start[i], self.targets[j])
