@@ -50,6 +50,9 @@ from sato.scp.planner import FEASIBILITY_TOLERANCE, PASSING_SIDES
 
 NOBODY = np.zeros(0, dtype=int)
 
+# Rows of both of each pair, and the distance that the two keep [m].
+KeptPairs = tuple[Int[Array, " pairs"], Int[Array, " pairs"], Float[Array, " pairs"]]
+
 
 def choose_offers(
     offers: Offers,
@@ -73,17 +76,18 @@ def choose_offers(
     is_free, rows = np.ones(len(i), dtype=bool), np.arange(len(choice))
     if is_confirmed:
         held = offers.held_paths
-        allowed = held_distances(held, i, j, radius)
+        allowed = held_distances(held, (i, j, radius))
     while True:
-        is_clear[changed] = are_clear(offers, choice, i[changed], j[changed], radius[changed])
+        some = i[changed], j[changed], radius[changed]
+        is_clear[changed] = are_clear(offers, choice, some)
         met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
         longer = choice[j[met]] - choice[i[met]]
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)
         moved = np.unique(np.where(is_lower, i[met], j[met]))
         if is_confirmed:
             both = np.concatenate([offers.paths[rows, choice], held])
-            some = first[changed], len(rows) + second[changed], allowed[changed]
-            is_free[changed] = are_paths_separated(both, *some)
+            others = first[changed], len(rows) + second[changed], allowed[changed]
+            is_free[changed] = are_paths_separated(both, *others)
             blocked = first[~is_free & (choice[first] < last)]
             moved = np.union1d(moved, blocked)
         if not len(moved):
@@ -113,13 +117,8 @@ def _count_choosing(
     return Load.of(graph, offers.agents, rounds, (messages, payload + CHOICE * messages))
 
 
-def list_pairs(
-    offers: Offers, graph: CommunicationGraph
-) -> tuple[Int[Array, " pairs"], Int[Array, " pairs"], Float[Array, " pairs"]]:
-    """List pairs of agents that hear each other and could meet by some choice.
-
-    That is the rows of both, and the distance that they keep [m].
-    """
+def list_pairs(offers: Offers, graph: CommunicationGraph) -> KeptPairs:
+    """List pairs of agents that hear each other and could meet by some choice."""
     i, j = graph.pairs_among(offers.agents)
     radius = (offers.clearance[i] + offers.clearance[j]) / 2
     if offers.drifts is not None:  # they may meet far away
@@ -131,26 +130,20 @@ def list_pairs(
 
 
 def are_clear(
-    offers: Offers,
-    choice: Int[Array, " agents"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    offers: Offers, choice: Int[Array, " agents"], pairs: KeptPairs
 ) -> Bool[Array, " pairs"]:
     """Find the pairs whose choices are clear of each other."""
     paths = offers.paths[np.arange(len(choice)), choice]
-    clear = are_paths_separated(paths, i, j, radius)
-    return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, i, j)
+    clear = are_paths_separated(paths, *pairs)
+    return clear if offers.drifts is None else clear & offers.drifts.are_safe(choice, *pairs[:2])
 
 
 def held_distances(
-    held: Float[Array, "agents pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    held: Float[Array, "agents pieces 4 d"], pairs: KeptPairs
 ) -> Float[Array, " pairs"]:
     """Return the distances to keep, or those that pairs keep by what they have committed to."""
-    near, found = np.flatnonzero(~are_paths_separated(held, i, j, radius)), radius.copy()
+    i, j, radius = pairs
+    near, found = np.flatnonzero(~are_paths_separated(held, *pairs)), radius.copy()
     kept = hull_distance(held[i[near]] - held[j[near]])[0].min(axis=1, initial=np.inf)
     found[near] = np.minimum(radius[near], kept * (1 - ROUNDING))
     return found
@@ -258,7 +251,7 @@ def find_waits(
     """Find the agents whose new trajectories are not clear of what a neighbor has committed to."""
     i, j = graph.pairs_among(offers.agents)
     i, j, held = np.append(i, j), np.append(j, i), offers.held_paths
-    radius = held_distances(held, i, j, (offers.clearance[i] + offers.clearance[j]) / 2)
+    radius = held_distances(held, (i, j, (offers.clearance[i] + offers.clearance[j]) / 2))
     meets = ~are_paths_separated(np.concatenate([paths, held]), i, len(paths) + j, radius)
     return offers.agents[i[meets]], offers.agents[j[meets]]
 

@@ -251,9 +251,9 @@ def choose_in_orbit(
 
     The batched equivalent of `agent_stages.Holding` and `Choosing`.
     """
-    i, j, radius = commitment.list_pairs(offers, graph)
+    i, j, _ = pairs = commitment.list_pairs(offers, graph)
     held = np.full(len(offers.agents), offers.last)
-    met = ~commitment.are_clear(offers, held, i, j, radius)
+    met = ~commitment.are_clear(offers, held, pairs)
     is_unclear = np.isin(np.arange(len(held)), np.concatenate([i[met], j[met]]))
     choice, load = commitment.choose_offers(give_up_unclear(offers, is_unclear), graph, rank)
     choice[is_unclear & (choice == offers.last)] = 0
@@ -273,8 +273,8 @@ def _count_holding(
 
 def check_start(offers: Offers, choice: Int[Array, " agents"], graph: CommunicationGraph) -> None:
     """Refuse a mission whose first commitments are not clear of each other."""
-    i, j, radius = commitment.list_pairs(offers, graph)
-    met = np.flatnonzero(~commitment.are_clear(offers, choice, i, j, radius))
+    i, j, radius = pairs = commitment.list_pairs(offers, graph)
+    met = np.flatnonzero(~commitment.are_clear(offers, choice, pairs))
     if not len(met):
         return
     agent, other = (int(offers.agents[rows[met[0]]]) for rows in (i, j))
