@@ -14,7 +14,7 @@ from sato.reconfiguration import (
     first_commitment,
     link_feasibility,
     own_motion,
-    passive_requirements,
+    passive_safety,
     reach,
 )
 from sato.reconfiguration.allowed_places import check_margin_to_obstacles
@@ -82,8 +82,9 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     first_commitment.check_reach(drawn)
     first_commitment.find_first_commitments(drawn)
     first_commitment.check_room(drawn)
-    passive_requirements.check_network(drawn)
-    passive_requirements.check_targets(drawn)
+    if drawn.is_passively_safe:
+        passive_safety.check_network(drawn)
+        passive_safety.check_targets(drawn)
     return drawn
 
 

@@ -10,8 +10,9 @@ from scipy.sparse import csc_array
 
 from problems.conic import ConicProgram
 from problems.solvers import SolverAdapter, list_able, load_adapters
-from sato.reconfiguration import link_feasibility, passive_requirements
+from sato.reconfiguration import link_feasibility
 from sato.reconfiguration.leg import Join, Leg, Loss
+from sato.reconfiguration.models import PlantSettings
 from sato.scenario.definition import is_auto
 from sato.scenario.errors import InputError, closest_name, join_names, round_down, round_up
 from sato.scenario.ranges import doubt_long, machine_memory
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 MAX_POINTING_ERROR = pi / 6  # standard deviation beyond which directions mean nothing [rad]
 SHORTEST_ORBIT = 3600.0  # at the surface of a body of 11,000 kg/m³ [s]
+MAX_ORBITS = 15.0  # of drift: about a day in low orbits
 PAIR_TABLES = 30  # numbers that a flight keeps for each pair of agent and target, at most
 
 
@@ -34,7 +36,7 @@ def check(mission: "Reconfiguration") -> None:
     _check_detectable(mission)
     _check_axes(mission)
     _check_surroundings(mission)
-    passive_requirements.check(mission)
+    _check_passive_safety(mission)
     _check_legs(mission)
 
 
@@ -214,6 +216,32 @@ def _check_axes(mission: "Reconfiguration") -> None:
         if points is not None and points.shape[1] != mission.axes:
             found = f"has {points.shape[1]} coordinates per point"
             raise InputError(where, f"{found}, and the model has {mission.axes} axes")
+
+
+def _check_passive_safety(mission: "Reconfiguration") -> None:
+    """Refuse passive safety where drifts cannot be foreseen for as long as it takes."""
+    if mission.passive_safety is None:
+        if mission.passive_safety_time is not None:
+            reason = "has no effect without plan.passive_safety_m; give both, or none"
+            raise InputError("plan.passive_safety_min", reason)
+        return
+    period, duration = mission.orbital_period, mission.passive_safety_time
+    is_too_long = duration is not None and duration > MAX_ORBITS * (period or inf)
+    is_foreseen = mission.flies_model
+    if mission.nonlinear_model is not None:
+        is_foreseen = isinstance(mission.plant, PlantSettings) and mission.plant.ballistic is None
+    for is_so, reason in (
+        (mission.orbital_period is None, "is for orbits, where nothing can stop; leave it out"),
+        (mission.has_noise, "needs a flight without [disturbance]: in two orbits an error of 1 mm/s"
+         " becomes 30 m"),
+        (not is_foreseen, 'needs the motion that is flown: model.kind = "j2" with neither'
+         ' drag nor a plant of your own, or plant = "model"'),
+        (is_too_long, f"is for drifts of up to {MAX_ORBITS:g} orbits; a shorter"
+         " plan.passive_safety_min would do"),
+        (mission.orders > 1, "knows one order of priority; plan.orders = 1 would do"),
+    ):  # fmt: skip
+        if is_so:
+            raise InputError("plan.passive_safety_m", reason)
 
 
 def _check_legs(mission: "Reconfiguration") -> None:

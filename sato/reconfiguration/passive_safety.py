@@ -10,13 +10,16 @@ from numpy import ndarray as Array
 from dynamics.discretize import discretize_zoh
 from dynamics.model import StateSamples
 from problems.convexify import AvoidanceHorizon
-from problems.drifts import DriftHorizon, Drifts
+from problems.drifts import KEPT_FACTOR, DriftHorizon, Drifts
+from problems.path_separation import find_meetings
 from problems.transfer import Trajectory
+from sato.network.graph import CommunicationGraph
 from sato.reconfiguration.free_motion import FREE_ORBITS, drift_freely, simulate
 from sato.reconfiguration.leg import Leg
 from sato.reconfiguration.mission import Reconfiguration
 from sato.reconfiguration.plan import Plans, compute_spent, remaining_controls
 from sato.reconfiguration.state import DecisionContext
+from sato.scenario.errors import InputError
 from sato.scp.passive_safety import PassiveSafety
 from sato.scp.planner import Planner
 
@@ -141,3 +144,34 @@ def make_horizon(mission: Reconfiguration, time: float, steps: int) -> DriftHori
     distance = mission.passive_safety + DRIFT_ERROR * max(1.0, duration / period)
     piecewise = AvoidanceHorizon(plan, plan, distance)
     return DriftHorizon(piecewise, later, move, time, duration, distance)
+
+
+def check_targets(mission: Reconfiguration) -> None:
+    """Refuse targets that do not keep the distance themselves for as long as drifts are to."""
+    begun = 0
+    for number, leg in enumerate(mission.legs):
+        horizon, arrivals = follow_targets(mission, leg, begun * mission.step, leg.steps)
+        begun += leg.steps
+        i, j = np.triu_indices(len(arrivals), 1)
+        met, _ = find_meetings(arrivals, i, j, np.full(len(i), KEPT_FACTOR * horizon.distance))
+        if len(met):
+            i, j = i[met.min()], j[met.min()]
+            raise InputError(
+                "plan.passive_safety_m",
+                f"targets {i} and {j} of leg {number} come within "
+                f"{mission.passive_safety:g} m of each other as they drift; a smaller distance, a "
+                "wider shape or fewer targets would do",
+            )
+
+
+def check_network(mission: Reconfiguration) -> None:
+    """Refuse starts in several networks: a drift leads far, and nobody knows of another network."""
+    place, alive = mission.initial_states[:, : mission.axes], mission.alive
+    graph = CommunicationGraph.from_positions(place, mission.comm_radius, alive)
+    count = len(np.unique(graph.component[alive]))
+    if count > 1:
+        raise InputError(
+            "plan.passive_safety_m",
+            f"needs all vehicles in one network, and the starts form {count}; a larger "
+            "swarm.comm_radius_m, more vehicles or starts nearer to each other would do",
+        )
