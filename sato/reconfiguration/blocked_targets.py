@@ -34,25 +34,20 @@ def find_places(context: DecisionContext, around: Surroundings, steps: int, esca
     In orbit they move on with their targets, and elsewhere they rest. For `escape` steps after
     that they could get out of the way of what moves.
     """
-    mission, targets = context.mission, context.leg.targets
-    if not mission.is_point_mass:
-        return _find_places_in_orbit(context, around, steps)
-    horizon = divide_horizon(mission, context.time, steps + max(escape, 1))
-    flown, begin = around.fly(mission, horizon), steps * horizon.pieces_per_step
-    later = flown and flown.after_pieces(begin)
-    shape = len(targets), len(horizon.fine_model) - begin, 4, mission.axes
-    here = np.broadcast_to(targets[:, None, None, : mission.axes], shape)
-    return Places(horizon.scale_points(here), later, horizon.clearance)
-
-
-def _find_places_in_orbit(context: DecisionContext, around: Surroundings, steps: int) -> Places:
-    mission, leg = context.mission, context.leg
+    mission, leg, targets = context.mission, context.leg, context.leg.targets
+    if mission.is_point_mass:
+        horizon = divide_horizon(mission, context.time, steps + max(escape, 1))
+        flown, begin = around.fly(mission, horizon), steps * horizon.pieces_per_step
+        later = flown and flown.after_pieces(begin)
+        shape = len(targets), len(horizon.fine_model) - begin, 4, mission.axes
+        here = np.broadcast_to(targets[:, None, None, : mission.axes], shape)
+        return Places(horizon.scale_points(here), later, horizon.clearance)
     horizon = divide_horizon(mission, context.time, steps, leg)
     free = free_motion(mission, leg, context.instant + steps)
     flown = drift_on(context, around, Flights(mission, horizon, context.time, *free))
     later = flown and flown.after_pieces(len(horizon.fine_model))
-    count, begin = len(later.paths[0]) if later else 0, context.time + steps * mission.step
-    paths = drift_freely(mission, leg.targets, count, begin, free[1])
+    count, time = len(later.paths[0]) if later else 0, context.time + steps * mission.step
+    paths = drift_freely(mission, targets, count, time, free[1])
     return Places(paths, later, horizon.clearance)
 
 
