@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from sato.check.report import Promise, expect_none
@@ -74,7 +74,10 @@ def check_blocked(record: ReconfigurationRecord) -> Promise:
     for k, event in record.events.of_kind("blocked"):
         leg = int(record.leg_index[k])
         places = record.targets[leg, np.asarray(event["targets"], dtype=int), :d]
-        lost = np.concatenate([record.state[k, record.is_adrift[k]], *_list_silent(record, k)])
+        # With states in which others saw vehicles that said nothing, as processes were paused.
+        silent = [(at, e["agents"]) for at, e in record.events.of_kind("silent") if at <= k]
+        seen = [record.state[at, np.asarray(agents, dtype=int)] for at, agents in silent]
+        lost = np.concatenate([record.state[k, record.is_adrift[k]], *seen])
         away = np.full(len(places), np.inf)
         for step in range(mission.legs[leg].steps + escape + 1):
             time = step * mission.step
@@ -88,12 +91,6 @@ def check_blocked(record: ReconfigurationRecord) -> Promise:
         is_near = away <= radius if mission.is_point_mass else np.isfinite(away)
         wrong += int((~is_near).sum())
     return expect_none("blocked", wrong, "targets left out that nothing blocked")
-
-
-def _list_silent(record: ReconfigurationRecord, until: int) -> list[Float[Array, "each n"]]:
-    # States in which others saw vehicles that said nothing, as their processes were paused.
-    events = record.events.of_kind("silent")
-    return [record.state[k, np.asarray(e["agents"], dtype=int)] for k, e in events if k <= until]
 
 
 def _count_contradictions(record: ReconfigurationRecord, leg: LegRecord) -> int:
