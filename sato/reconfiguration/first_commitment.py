@@ -147,7 +147,11 @@ class Traffic(NamedTuple):
             own = self.committed, self.instant, escape
             horizon, *_, paths = _fly_on(mission, agents, self.x[agents], *own)
         else:
-            horizon, paths = self._drift_on(agents)
+            T, t = mission.horizon_steps, self.instant * mission.step
+            flown = self.committed, self.instant
+            held = [stopping.committed_controls(mission, i, *flown)[:T] for i in agents.tolist()]
+            u, horizon = stopping.pad_controls(held, T), divide_horizon(mission, t, T)
+            paths = horizon.control_points(simulate(mission, self.x[agents], u, t, mission.step), u)
         if around is not None:
             known = around.known_to(mission, agent, around.fly(mission, horizon), horizon.clearance)
             if not is_path_clear(paths[-1], known):
@@ -155,15 +159,6 @@ class Traffic(NamedTuple):
         clearance = mission.own_clearances(horizon.clearance, agents)
         radius = (clearance[:-1] + clearance[-1]) / 2
         return bool(are_hulls_separated(paths[:-1] - paths[-1], radius).all())
-
-    def _drift_on(self, agents: Int[Array, " some"]) -> tuple[AvoidanceHorizon, Array]:
-        """Return T_H steps, and control points, of agents in orbit that decide no more."""
-        mission, T, t = self.mission, self.mission.horizon_steps, self.instant * self.mission.step
-        own = self.committed, self.instant
-        held = [stopping.committed_controls(mission, i, *own)[:T] for i in agents.tolist()]
-        u, horizon = stopping.pad_controls(held, T), divide_horizon(mission, t, T)
-        x = simulate(mission, self.x[agents], u, t, mission.step)
-        return horizon, horizon.control_points(x, u)
 
 
 def check_room(mission: Reconfiguration) -> None:
