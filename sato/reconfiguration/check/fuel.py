@@ -6,13 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from problems import auction_cost
 from problems.assignment import solve_assignment
-from problems.auction_cost import (
-    compute_energies,
-    compute_transfer_costs,
-    least_energies,
-    solve_transfer,
-)
 from problems.limit import vector_norm
 from problems.minimum_fuel import solve_minimum_fuel
 from problems.transfer import Objective, TransferProblem
@@ -159,12 +154,12 @@ def _make_leg_costs(
         for own in mission.group_by_limits(agents[together]):
             rows, model = together[own], record.model[slice(k, leg.end_index)]
             if np.isinf(limit_factor):
-                cost[rows] = compute_energies(model, start[rows], targets)
+                cost[rows] = auction_cost.compute_energies(model, start[rows], targets)
                 continue
             agent = int(agents[rows[0]])
             most = limit_factor * mission.control_limit(agent).bound
             problem = mission.make_transfer(model, agent, max_control=most, objective=objective)
-            found = compute_transfer_costs(problem, start[rows], targets)
+            found = auction_cost.compute_transfer_costs(problem, start[rows], targets)
             cost[rows] = np.where(found.is_reachable, found.cost, np.inf)
             costs.is_exact[rows] = found.is_exact
             costs.problems |= dict.fromkeys(rows.tolist(), problem)
@@ -200,7 +195,7 @@ def _correction_cost(
         rows = np.flatnonzero((first == k) & is_known)
         model = record.model[slice(k, leg.end_index)]
         if objective == "energy":
-            cost[rows] = least_energies(model, error[rows])
+            cost[rows] = auction_cost.least_energies(model, error[rows])
             continue
         for group in record.mission.group_by_limits(agents[rows]):
             own = rows[group]
@@ -227,7 +222,7 @@ class _LegCosts:
         """Return the cost of a pair; infinite where the target is out of reach."""
         if not self.is_exact[i, j]:
             problem = self.problems[i]
-            transfer = solve_transfer(problem, self.start[i], self.targets[j])
+            transfer = auction_cost.solve_transfer(problem, self.start[i], self.targets[j])
             self.cost[i, j] = np.inf if transfer is None else problem.cost(transfer)
             self.is_exact[i, j] = True
         return float(self.cost[i, j])
