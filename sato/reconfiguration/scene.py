@@ -2,30 +2,14 @@
 
 import numpy as np
 
+from sato import scene
 from sato.reconfiguration.check.fuel import compute_step_fuel
 from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.mission import Reconfiguration
 from sato.run_data import RunData
-from sato.scene import (
-    ABSENT,
-    ALIVE,
-    GROUND,
-    LOST,
-    ORBIT,
-    Coloring,
-    Links,
-    Series,
-    SwarmScene,
-    Targets,
-    color_by_component,
-    color_by_speed,
-    color_by_target,
-    enclose_obstacle,
-    nearest_distances,
-)
 
 
-def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
+def make_scene(data: RunData, mission: Reconfiguration) -> scene.SwarmScene:
     """Make the scene of a run; fuel is that of the commanded controls."""
     record = ReconfigurationRecord.from_data(data, mission)
     frames, alive = record.frames, record.frames.alive
@@ -33,33 +17,33 @@ def make_scene(data: RunData, mission: Reconfiguration) -> SwarmScene:
     place = np.full_like(record.variables.target_position, np.nan)
     for row, used in zip(place, record.used_targets, strict=True):
         row[: len(used)] = used[:, : place.shape[2]]
-    targets = Targets("target", place, record.leg_index, frames.target_index)
-    nearest = nearest_distances(frames.position, alive | record.is_adrift)
+    targets = scene.Targets("target", place, record.leg_index, frames.target_index)
+    nearest = scene.nearest_distances(frames.position, alive | record.is_adrift)
     starts = [(record.time[leg.start_index], leg.leg_index) for leg in record.leg_records]
-    return SwarmScene(
+    return scene.SwarmScene(
         time=record.time,
         position=frames.position,
         velocity=frames.velocity,
-        status=np.where(alive, ALIVE, np.where(record.is_adrift, LOST, ABSENT)),
+        status=np.where(alive, scene.ALIVE, np.where(record.is_adrift, scene.LOST, scene.ABSENT)),
         diameter=mission.radii,
-        links=Links("within communication radius", mission.comm_radius),
+        links=scene.Links("within communication radius", mission.comm_radius),
         targets=targets,
         colorings=(
-            color_by_component(frames.component),
-            color_by_target(targets),
-            Coloring("fuel so far", np.where(alive, fuel, np.nan), "m/s"),
-            Coloring("separation", np.where(alive, nearest, np.nan), "m"),
-            color_by_speed(frames.velocity, alive),
+            scene.color_by_component(frames.component),
+            scene.color_by_target(targets),
+            scene.Coloring("fuel so far", np.where(alive, fuel, np.nan), "m/s"),
+            scene.Coloring("separation", np.where(alive, nearest, np.nan), "m"),
+            scene.color_by_speed(frames.velocity, alive),
         ),
         series=(_measure_separation(record),),
         stages=tuple((float(t), f"leg {k + 1}, {record.leg_names[k]}") for t, k in starts),
         events=frames.events,
-        obstacles=tuple(map(enclose_obstacle, mission.obstacles)),
-        viewpoint=GROUND if record.variables.chief is None else ORBIT,
+        obstacles=tuple(map(scene.enclose_obstacle, mission.obstacles)),
+        viewpoint=scene.GROUND if record.variables.chief is None else scene.ORBIT,
     )
 
 
-def _measure_separation(record: ReconfigurationRecord) -> Series:
+def _measure_separation(record: ReconfigurationRecord) -> scene.Series:
     """Find the least separation along the trajectories of each step."""
     mission = record.mission
     if mission.has_equal_radii and mission.ellipsoid is None:
@@ -70,4 +54,4 @@ def _measure_separation(record: ReconfigurationRecord) -> Series:
         names = "least separation in each step, over the required one", "required"
     steps = separations.distance.reshape(-1, record.pieces_per_step).min(axis=1)
     values = np.append(np.where(np.isfinite(steps), steps, np.nan), np.nan)
-    return Series(names[0], unit, values, limit, names[1], is_held=True)
+    return scene.Series(names[0], unit, values, limit, names[1], is_held=True)
