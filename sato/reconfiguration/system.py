@@ -3,14 +3,10 @@
 from problems.conic import Unsolved
 from sato.auctions import OutOfTargets
 from sato.interfaces import MissionProgress, System, lazy
+from sato.reconfiguration import record
 from sato.reconfiguration.check.promises import PROMISES, check_run
 from sato.reconfiguration.loop import simulate
 from sato.reconfiguration.mission import Reconfiguration
-from sato.reconfiguration.record import (
-    ReconfigurationVariables,
-    collect_attributes,
-    collect_variables,
-)
 from sato.reconfiguration.state import ReconfigurationFrame
 
 
@@ -25,10 +21,10 @@ def make_progress(mission: Reconfiguration, frame: ReconfigurationFrame) -> Miss
 SYSTEM = System(
     name="reconfiguration",
     frame=ReconfigurationFrame,
-    run_variables=ReconfigurationVariables,
+    run_variables=record.ReconfigurationVariables,
     simulate=simulate,
-    collect=collect_variables,
-    attributes=collect_attributes,
+    collect=record.collect_variables,
+    attributes=record.collect_attributes,
     check=check_run,
     progress=make_progress,
     figures=lazy("sato.reconfiguration.figures:make_figures"),
