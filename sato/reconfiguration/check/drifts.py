@@ -79,8 +79,7 @@ def _find_first_thrusts(record: ReconfigurationRecord, leg: LegRecord) -> Int[Ar
     """Find the step of a leg at which each agent thrusts for the first time."""
     flown = record.frames.applied_control[leg.start_index : leg.end_index, leg.alive]
     thrusts = (np.abs(flown) > THRUST * record.mission.largest_control.max()).any(axis=2)
-    first = np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count)
-    return np.asarray(first)
+    return np.asarray(np.where(thrusts.any(axis=0), thrusts.argmax(axis=0), leg.step_count))
 
 
 def follow_leg(record: ReconfigurationRecord, leg: LegRecord) -> FlownDrifts:
@@ -114,8 +113,7 @@ def approach_others(
     relative = drifts.drifts[row, pieces] - drifts.path[others][:, horizon.piece[pieces]]
 
     def measure(parts: Array, _: Array) -> tuple[Array, Array]:
-        middle = np.linalg.norm(evaluate_bezier(parts, 0.5), axis=1)
-        return middle, hull_distance(parts)[0]
+        return np.linalg.norm(evaluate_bezier(parts, 0.5), axis=1), hull_distance(parts)[0]
 
     flat, precision = relative.reshape(-1, *relative.shape[2:]), PRECISION * horizon.distance
     distance, number, _ = minimize_along(flat, measure, precision, enough)

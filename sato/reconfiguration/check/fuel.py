@@ -72,8 +72,7 @@ def compute_asked_bound(
     end = min(leg.end_index, start + mission.legs[leg.leg_index].steps)
     if end == leg.end_index and (entry == leg.entry_index)[leg.alive].all():
         return np.nan if bound is None else bound.total
-    asked = replace(leg, end_index=end, entry_index=entry)
-    costs = _make_leg_costs(record, asked, "fuel")
+    costs = _make_leg_costs(record, replace(leg, end_index=end, entry_index=entry), "fuel")
     return np.nan if costs is None else costs.compute_assignment().bound
 
 
@@ -200,8 +199,7 @@ def _correction_cost(
         for group in record.mission.group_by_limits(agents[rows]):
             own = rows[group]
             limit = record.mission.control_limit(int(agents[own[0]])).bound
-            found = solve_minimum_fuel(model, error[own], limit, np.ones(len(model)))
-            cost[own] = found.fuel
+            cost[own] = solve_minimum_fuel(model, error[own], limit, np.ones(len(model))).fuel
     return cost
 
 

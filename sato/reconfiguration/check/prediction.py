@@ -132,8 +132,7 @@ def _redraw_changes(
     # Joins and losses at an instant of a leg, which change `alive` and `waiting` in place.
     mission, at_step = record.mission, k - leg.start_index
     waiting += [i for agents, at in mission.joining(leg.leg_index) if at == at_step for i in agents]
-    joins = record.events.of_kind("join")
-    known = [i for at, event in joins if at == k for i in event["agents"]]
+    known = [i for at, event in record.events.of_kind("join") if at == k for i in event["agents"]]
     joined = list[int]()
     for i in waiting:  # one after another, as later ones wait for those
         if i in known or _has_room(record, k, i, alive):

@@ -172,8 +172,7 @@ class ReconfigurationRecord(
     @cached_property
     def model(self) -> DiscreteModel:
         """Shared model from each instant to the next."""
-        steps = len(self.time) - 1
-        return discretize_zoh(self.mission.linear_model, self.mission.step, steps)
+        return discretize_zoh(self.mission.linear_model, self.mission.step, len(self.time) - 1)
 
     def find_left_out(self, leg: LegRecord) -> Int[Array, " targets"]:
         """Find the targets of a leg that agents left out, as they were blocked."""

@@ -52,8 +52,7 @@ def plot_drifts(record: ReconfigurationRecord) -> Figure:
 def _draw_plane(ax: Any, flown: FlownDrifts, row: int) -> None:
     _, horizon, drifts = flown
     T = horizon.steps.steps
-    others = np.delete(np.arange(len(drifts.path)), row)
-    for path in drifts.path[others]:
+    for path in drifts.path[np.delete(np.arange(len(drifts.path)), row)]:
         ax.plot(*_trace(path), color=LIGHT_GRAY, lw=0.7, label="others, as planned")
     lines = [_trace(drifts.drifts[row, horizon.step == k]).T for k in range(1, T)]
     style: dict[str, Any] = {"cmap": COLORS, "norm": Normalize(0, T), "array": np.arange(1, T)}
@@ -68,8 +67,7 @@ def _trace(pieces: Float[Array, "pieces 4 d"]) -> Float[Array, "2 points"]:
     """Return points of pieces in the orbital plane [km]."""
     shares = np.linspace(0.0, 1.0, POINTS)[:, None]
     points = evaluate_bezier(pieces[None], np.broadcast_to(shares, (POINTS, len(pieces))))
-    flat = points.swapaxes(0, 1).reshape(-1, pieces.shape[-1])
-    return ORBITAL_PLANE.project(flat).T / KILOMETER
+    return ORBITAL_PLANE.project(points.swapaxes(0, 1).reshape(-1, pieces.shape[-1])).T / KILOMETER
 
 
 def _draw_distances(ax: Any, record: ReconfigurationRecord, flown: FlownDrifts) -> None:

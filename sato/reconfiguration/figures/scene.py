@@ -87,9 +87,8 @@ def interpolate_positions(
     pieces = np.concatenate([pieces, np.repeat(record.frames.position[-1:, :, None], 4, axis=2)])
     k = instants.astype(int)
     fraction = np.repeat((instants - k)[:, None], record.frames.position.shape[1], axis=1)
-    found = evaluate_bezier(pieces[k], fraction)
     is_there = record.frames.alive[k] | record.is_adrift[k]
-    return np.where(is_there[..., None], found, np.nan)
+    return np.where(is_there[..., None], evaluate_bezier(pieces[k], fraction), np.nan)
 
 
 def draw_swarm(

@@ -95,8 +95,7 @@ def _target_distance(
     held = np.where(record.frames.alive[k], record.frames.target_index[k], -1)
     held[-1] = np.where(leg.alive, leg.target_index, -1)  # the frame is of the next leg
     target = record.targets[leg.leg_index][np.maximum(held, 0), :d]
-    away = np.linalg.norm(record.frames.position[k] - target, axis=2)
-    return np.where(held >= 0, away, np.nan)
+    return np.where(held >= 0, np.linalg.norm(record.frames.position[k] - target, axis=2), np.nan)
 
 
 def _plot_agents(
