@@ -262,9 +262,7 @@ class Decision(NamedTuple):
         (u,) = stopping.pad_controls([offers.u[0, choice]], steps)
         path = extend(offers.paths[0, choice], len(horizon.fine_model))
         order, own = tuple(agent for _, agent in cautious), (self.number, self.plans[self.number])
-        clearance = float(offers.clearance[0])
-        flown = offers.plan_steps[choice]
-        rest = clearance, flown, self.choosing.kept_below
+        rest = float(offers.clearance[0]), offers.plan_steps[choice], self.choosing.kept_below
         turns = Turns(self.context, own[1], own[0], order, horizon, u, path, *rest)
         return self._enter(turns, is_evading=any(report.is_met for report in reports))
 
@@ -304,9 +302,8 @@ class Decision(NamedTuple):
         committed = {self.number: stopping.Commitment(self.context.instant, u)}
         if is_cautious and commitment.leaves_plan(turns.plan, plan):
             events = (*events, {"kind": "cautious", "agents": [self.number]})
-        plans = {self.number: plan}
         return self._replace(
-            plans=plans,
+            plans={self.number: plan},
             committed=committed,
             events=events,
             waits=self._find_waits(turns),

@@ -74,8 +74,7 @@ def place_targets(mission: "Reconfiguration", leg: "Leg", demand: int, needed: f
             return drawn
         if isinstance(leg.shape, Points) or is_given:
             names = [f"target {j} is" for j in range(len(placed))]
-            kept = radii * (1 + SEPARATION_TOLERANCE)
-            reason = find_fault(mission, placed, kept, names)
+            reason = find_fault(mission, placed, radii * (1 + SEPARATION_TOLERANCE), names)
             reason = reason or f"target {blocked.argmax()} is in a margin about an obstacle"
             raise InputError("", f"{reason}; another target, or a smaller obstacle, would do")
         left = ~blocked

@@ -84,8 +84,7 @@ def assign_targets(
         is_firm = graph.component_any(auction.won_unreachable)
         auction = run_auction(context, cost, is_firm, blocked)
         solves, load = solves + auction.solve_count, load.plus(auction.load, is_firm)
-    held = _remember(context, auction.outcome)
-    return AssignmentDecision(held, was_reset, solves, load, blocked)
+    return AssignmentDecision(_remember(context, auction.outcome), was_reset, solves, load, blocked)
 
 
 def agreement_graph(mission: Reconfiguration, graph: CommunicationGraph) -> CommunicationGraph:
@@ -211,8 +210,7 @@ def _count_load(auction: VsdaaResult, graph: CommunicationGraph, states: int) ->
     bids = graph.alive & (auction.stop_round > 0)
     if not bids.any():
         return Load.none(len(bids))
-    begin = np.where(bids, 0, -1)
-    terms = count_flood(graph, graph.diameter, begin, TERMS + REAL * states)
+    terms = count_flood(graph, graph.diameter, np.where(bids, 0, -1), TERMS + REAL * states)
     first = int(auction.stop_round[bids].min())
     made = np.where(bids, auction.stop_round - first, -1)
     last = graph.component_max(made) + graph.diameter

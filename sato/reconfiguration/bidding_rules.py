@@ -102,10 +102,9 @@ def apply_bidding_rules(
         least: Least penalty of the other two, see `least_penalty`.
     """
     bid: Array = table.cost[i].copy()
-    is_reachable = table.is_reachable[i]
     top, span = cost_range(table, i)
     penalty = max(span, least)
-    bid[~is_reachable] += top + (penalty if firm is None else firm)
+    bid[~table.is_reachable[i]] += top + (penalty if firm is None else firm)
     if is_printed:
         return bid
     bid[_claimed_by_absent(memory, i, is_near, len(bid))] += penalty

@@ -47,8 +47,7 @@ def find_places(context: DecisionContext, around: Surroundings, steps: int, esca
     flown = drift_on(context, around, Flights(mission, horizon, context.time, *free))
     later = flown and flown.after_pieces(len(horizon.fine_model))
     count, time = len(later.paths[0]) if later else 0, context.time + steps * mission.step
-    paths = drift_freely(mission, targets, count, time, free[1])
-    return Places(paths, later, horizon.clearance)
+    return Places(drift_freely(mission, targets, count, time, free[1]), later, horizon.clearance)
 
 
 def find_all_blocked(context: DecisionContext) -> Bool[Array, "agents targets"] | None:

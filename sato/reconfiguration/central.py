@@ -74,6 +74,5 @@ def central_problem(mission: Reconfiguration, seed: Seed = 0) -> CentralMission:
     targets = leg.targets if leg.is_free else leg.targets[: len(start)]
     cost = np.empty((len(start), len(targets)))
     for group in drawn.group_by_limits(agents):
-        found = compute_transfer_costs(each[group[0]], start[group], targets)
-        cost[group] = found.cost
+        cost[group] = compute_transfer_costs(each[group[0]], start[group], targets).cost
     return CentralMission(problem, start, targets[solve_assignment(cost)])

@@ -78,8 +78,7 @@ def choose_offers(
         held = offers.held_paths
         allowed = held_distances(held, (i, j, radius))
     while True:
-        some = i[changed], j[changed], radius[changed]
-        is_clear[changed] = are_clear(offers, choice, some)
+        is_clear[changed] = are_clear(offers, choice, (i[changed], j[changed], radius[changed]))
         met = np.flatnonzero(~is_clear & (np.minimum(choice[i], choice[j]) < last))
         longer = choice[j[met]] - choice[i[met]]
         is_lower = np.where(longer == 0, rank[i[met]] > rank[j[met]], longer > 0)

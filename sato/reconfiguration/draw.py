@@ -54,12 +54,10 @@ def draw(mission: Reconfiguration, rng: np.random.Generator) -> Reconfiguration:
     factors = [leg.time_factor or TIME_FACTOR for leg in asked]
     for k, leg in enumerate(mission.legs):
         leg = draw_joins(mission, k, leg, known, len(states), mission.step * steps, rng)
-        joined = [states_of(join.start) for join in leg.joins]
-        states = np.concatenate([states, *joined])
+        states = np.concatenate([states, *[states_of(join.start) for join in leg.joins]])
         if is_auto(asked[k].steps):
             begin = departures[k] = depart(mission, k, known, states, demand, mission.step * steps)
-            enough = _choose_steps(begin, k, leg, demand[k], factors[k])
-            leg = replace(leg, steps=enough)
+            leg = replace(leg, steps=_choose_steps(begin, k, leg, demand[k], factors[k]))
         steps += leg.steps
         targets = draw_targets(mission, k, leg, demand[k], mission.step * steps)
         # States of agents that are known to those that join when the next leg begins.

@@ -95,8 +95,7 @@ def predict(
     u = np.concatenate([control, planned])
     x = np.where(np.isfinite(u).all(axis=1)[:, None], x, np.nan)
     if mission.nonlinear_model is not None:
-        plant = NonlinearPlant(mission.nonlinear_model)
-        x = plant.propagate(x, u, time, mission.step)[-1]
+        x = NonlinearPlant(mission.nonlinear_model).propagate(x, u, time, mission.step)[-1]
     else:
         x = model.simulate(x, u[:, None])[:, -1]
     covariance = spread(model, 0, estimate.covariance, control_covariance(mission, control))

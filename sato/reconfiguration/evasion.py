@@ -227,9 +227,8 @@ class _CrowdEvasion:
         problem = self._make_problem()
         least, stalled = np.inf, 0
         while stalled < PATIENCE:
-            paths = problem.fly(u)[1]
             is_changed = (np.abs(u - before) > least_change).any(axis=(1, 2))
-            each = zip(self.now, u, paths, is_changed.tolist(), strict=True)
+            each = zip(self.now, u, problem.fly(u)[1], is_changed.tolist(), strict=True)
             yield [replace(own, u=w, path=p) if differs else own for own, w, p, differs in each]
             if not problem.is_free.any():
                 return

@@ -176,8 +176,7 @@ def _least_comm_radius(mission: "Reconfiguration") -> float:
 
 def _closing_speed(mission: "Reconfiguration") -> float:
     # Of the two fastest.
-    fastest = np.sort(mission.top_speeds)[-2:]
-    return float(2 * fastest.mean())
+    return float(2 * np.sort(mission.top_speeds)[-2:].mean())
 
 
 def _check_detectable(mission: "Reconfiguration") -> None:

@@ -72,8 +72,7 @@ def find_first_commitments(mission: Reconfiguration) -> stopping.Commitments:
         if not (len(meeting) or met):
             break
         for a in sorted(met.union(meeting.flatten().tolist())):
-            here = horizon.scale_points(start[a, :d])
-            near = _find_near(mission, here, a, paths, clearance)
+            near = _find_near(mission, horizon.scale_points(start[a, :d]), a, paths, clearance)
             radius = (clearance[near] + clearance[a]) / 2
             avoided = stopping.Avoided(paths[near], radius, obstacles[a])
             rest = np.concatenate([horizon.unscale_points(paths[a, -1, -1]), np.zeros(d)])

@@ -173,8 +173,7 @@ def measure_round(link: Link, graph: CommunicationGraph) -> float:
     channel = Channel(link, graph, np.random.default_rng(0))
     synchronizer = Synchronizer(channel, np.full(count, MOST_ROUNDS))
     start = np.zeros(count, dtype=int)
-    ends = synchronizer.advance(start, start + MEASURED_ROUNDS)
-    last = int(ends[graph.alive].max())
+    last = int(synchronizer.advance(start, start + MEASURED_ROUNDS)[graph.alive].max())
     return last / MEASURED_ROUNDS if last < NEVER else inf
 
 

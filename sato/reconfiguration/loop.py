@@ -82,11 +82,9 @@ class _Flight:
         # Clocks are behind by a time, and what agents fly by whole steps of it.
         self.clock_delay = self.link_rng.uniform(0.0, mission.link.skew, len(m))  # [s]
         if steps := whole_steps(mission, self.clock_delay):
-            everyone = list(range(len(m)))
-            self.events.append({"kind": "clocks", "agents": everyone, "steps": steps})
-        tolerance = mission.tolerance or TOLERANCE
+            self.events.append({"kind": "clocks", "agents": list(range(len(m))), "steps": steps})
         self.errors = list[str]()  # of solvers of the user's own
-        chosen = mission.solver, tolerance, self.errors
+        chosen = mission.solver, mission.tolerance or TOLERANCE, self.errors
         self.solvers = [VerifiedSolver(*chosen) for _ in m]  # its own each
         self.spent = np.zeros(len(m))  # fuel [m/s], or energy [m²/s³]
         self.loads = [Load.none(len(m)) for _ in PURPOSES]  # at this instant
@@ -118,8 +116,7 @@ class _Flight:
             known = self.estimate.reference
             decides = not mission.lag_steps or k % mission.replan_steps == 0
             seen_by = self._look_around(decides)
-            time = self.step_index * mission.step
-            rest = self.memory, k, time, self.solvers, self.surroundings
+            rest = self.memory, k, self.step_index * mission.step, self.solvers, self.surroundings
             context = state.DecisionContext(mission, self.leg, graph, known, *rest)
             self.plans = give_up_missed(context, self.plans)
             closed = planning.give_up_closed(context, self.plans, seen_by)
@@ -318,8 +315,7 @@ class _Flight:
         for i in np.flatnonzero(self.alive).tolist():
             if i not in self.committed:
                 self.committed[i] = stop_at_once(mission, i, context.state[i], self.step_index)
-        known = context._replace(memory=self.memory)
-        later = foresee(known, self.committed, self._has_begun)
+        later = foresee(context._replace(memory=self.memory), self.committed, self._has_begun)
         self.plans = give_up_missed(later, self.plans)  # that end before they are flown again
         outcomes = []
         for deciding, bids in self._schedule_decisions(later, self.called):

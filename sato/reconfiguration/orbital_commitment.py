@@ -141,8 +141,7 @@ def drift_on(
     if flown is None:
         return None
     T = horizon.steps
-    escape = count_escape_steps(mission, 0.0) * mission.step
-    count = min(count, ceil(escape / h))
+    count = min(count, ceil(count_escape_steps(mission, 0.0) * mission.step / h))
     later = np.repeat(flown.paths[:, -1:, -1:], 4, axis=2)
     time = (np.arange(count)[:, None] + np.linspace(0.0, 1.0, 4)) * h
     after = later + time[..., None] * flown.velocity[:, None, None]

@@ -234,8 +234,7 @@ class PlannedLimits(Vehicles):
 
         Its own, unless its reach counts on its speed, as where messages are late.
         """
-        is_own = self.link.is_ideal
-        return self.speed_limit(agent) if is_own else self.planned_speed_limit(agent)
+        return self.speed_limit(agent) if self.link.is_ideal else self.planned_speed_limit(agent)
 
     def make_transfer(self, model: DiscreteModel, agent: Count, **more: Any) -> TransferProblem:
         """Make the transfer problem of an agent over some steps, at the speed of stops at most."""

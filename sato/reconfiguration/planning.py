@@ -90,9 +90,8 @@ def make_plans(
         clear = planner.horizon.steps if hears_all else mission.horizon_steps
         failures = _count_failures(previous, i) + (i in relaxed)
         held = None if i in astray else int(target[i])
-        is_clear = has_one_order and planner.is_clear
         own = planner.nominal, held, k, k + clear, failures, planner.priority
-        plans[i] = Plan(*own, is_clear)
+        plans[i] = Plan(*own, has_one_order and planner.is_clear)
     if mission.commits:  # a trajectory for which separation was relaxed is not flown
         events = [event for event in events if event["kind"] == "braked"]
     return plans, events
@@ -278,8 +277,6 @@ def give_up_closed(context: DecisionContext, plans: Plans, seen_by: list[int]) -
 def _interpolation_margin(mission: Reconfiguration, own: Leg, h: float) -> float:
     # Error of the cubic pieces of two agents, at the states with which the mission begins and
     # ends and under full control; doubled for the states in between.
-    targets = [leg.targets for leg in (*mission.legs, own)]
-    ends = np.concatenate([mission.initial_states, *targets])
-    x = np.stack([ends, ends], axis=1)
+    ends = np.concatenate([mission.initial_states, *[leg.targets for leg in (*mission.legs, own)]])
     u = np.broadcast_to(mission.largest_control, (len(ends), 1, mission.axes))
-    return 4 * interpolation_error(mission.linear_model, x, u, h)
+    return 4 * interpolation_error(mission.linear_model, np.stack([ends, ends], axis=1), u, h)

@@ -51,8 +51,7 @@ def solve_solo_trajectories(
         x, u = (np.stack(part) for part in zip(*(f[:2] for f in nominal), strict=True))
         steps = linearize_along(mission.nonlinear_model, x, u, mission.step, context.time)
         problems = [replace(shared, model=steps.for_agent(i)) for i in range(len(agents))]
-        own_models = replace(shared, model=steps)
-        found, count = solve_solo_transfers(own_models, state, targets, solvers)
+        found, count = solve_solo_transfers(replace(shared, model=steps), state, targets, solvers)
         solves += count
     each_found = list(zip(agents, problems, found, each, strict=True))
     trajectories = [f or _fallback(problem, *own) for _, problem, f, own in each_found]
@@ -117,8 +116,7 @@ def relinearize(
     """Linearize an agent's nonlinear dynamics about a trajectory."""
     model, step = context.mission.nonlinear_model, context.mission.step
     assert model is not None
-    own = linearize_along(model, nominal.x, nominal.u, step, context.time)
-    return replace(transfer, model=own)
+    return replace(transfer, model=linearize_along(model, nominal.x, nominal.u, step, context.time))
 
 
 def _fallback(

@@ -107,8 +107,7 @@ class Surroundings(NamedTuple):
         if paths is None or not len(rows):
             return None
         own = float(mission.own_clearances(clearance, np.array([agent]))[0])
-        is_ball = mission.ellipsoid is None
-        keeps = np.where(is_ball, own + self.thickness, own)
+        keeps = np.where(mission.ellipsoid is None, own + self.thickness, own)
         keeps[self.is_wall] = own - mission.radius(agent) + mission.largest_separation
         of_lost = mission.own_clearances(clearance, self.vehicle[self.is_lost])
         keeps[self.is_lost] = (own + of_lost) / 2

@@ -29,8 +29,7 @@ def cost_range(table: CostTable, i: int) -> tuple[float, float]:
 
 def compute_costs(context: DecisionContext) -> CostTable:
     """Compute the costs of all agents that decide."""
-    leg = context.leg
-    shape = (len(context.state), len(leg.targets))
+    shape = (len(context.state), len(context.leg.targets))
     table = CostTable(np.zeros(shape), np.ones(shape, dtype=bool), np.ones(shape, dtype=bool))
     for clock, agents in context.group_agents():
         model, x = context.remaining_model(clock), context.state[agents]

@@ -282,8 +282,7 @@ def _speed_to_lose(mission: Reconfiguration, steps: int) -> float:
     # In orbit most of a speed belongs to the trajectory; about half of the fuel brakes.
     burned, start, t = 0.0, mission.initial_states[mission.alive], 0.0
     for leg in mission.legs:
-        model = mission.discretize(leg.steps, t)
-        transfer = TransferProblem(model, mission.largest_control)
+        transfer = TransferProblem(mission.discretize(leg.steps, t), mission.largest_control)
         fuel = compute_transfer_costs(transfer, start, leg.targets).cost
         burned = max(burned, float(fuel[linear_sum_assignment(fuel)].max()))
         start, t = leg.targets, t + leg.steps * mission.step

@@ -42,8 +42,7 @@ def feedback_gain(step: float) -> Float[Array, " 2"]:
     A, B = _axis(1.0)  # in units of the step
     weight = np.array([[CONTROL_WEIGHT]])
     X = solve_discrete_are(A, B, np.diag([1.0, 0.0]), weight)
-    gain = np.linalg.solve(B.T @ X @ B + weight, B.T @ X @ A)[0]
-    return np.asarray(gain / [step**2, step])
+    return np.asarray(np.linalg.solve(B.T @ X @ B + weight, B.T @ X @ A)[0] / [step**2, step])
 
 
 def _axis(h: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 1"]]:
