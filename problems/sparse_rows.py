@@ -40,9 +40,8 @@ class SparseRows(NamedTuple):
         """Return the rows of a block-diagonal matrix: the same block at each step."""
         (height, width), k = block.shape, np.arange(steps)[:, None]
         row, column = np.nonzero(block)
-        value = np.tile(block[row, column], steps)
         places = (row + height * k).ravel(), (column + width * k).ravel()
-        return cls(*places, value, np.tile(rhs, steps))
+        return cls(*places, np.tile(block[row, column], steps), np.tile(rhs, steps))
 
     def join(self, others: "SparseRows", first: int) -> "SparseRows":
         """Return the rows with entries of others in the columns from the first on."""
@@ -73,11 +72,9 @@ def stack_with_bounds(
     floor[:count] = negative
     upper = SparseRows(every[:count], every[:count], np.ones(count), np.ones(count))
     parts = [zero, *linear, upper, SparseRows(every, every, -np.ones(columns), floor), *cones]
-    first = np.cumsum([0, *(len(part.rhs) for part in parts)])
-    row = np.concatenate([part.row + begin for part, begin in zip(parts, first, strict=False)])
-    column = np.concatenate([part.column for part in parts])
-    value = np.concatenate([part.value for part in parts])
-    rhs = np.concatenate([part.rhs for part in parts])
+    row, column, value, rhs = map(np.concatenate, zip(*parts, strict=True))
+    first = np.cumsum([0, *(len(part.rhs) for part in parts[:-1])])
+    row += np.repeat(first, [len(part.row) for part in parts])
     A = csc_array((value, (row, column)), shape=(len(rhs), columns))
     equal, last = len(zero.rhs), sum(len(part.rhs) for part in cones)
     return A, rhs, (equal, len(rhs) - equal - last, (cone,) * (last // cone))
