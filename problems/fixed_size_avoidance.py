@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from dynamics.doors import checked
@@ -64,16 +64,12 @@ class FixedSizeAvoidanceProblem:
         speed = min(self.transfer.max_speed, self.transfer.max_control * duration)
         return np.repeat([speed * duration, speed], steps.axes)
 
-    @cached_property
-    def row_steps(self) -> Int[Array, " rows_per_step"]:
-        """Step of each row."""
-        return np.repeat(np.arange(self.horizon_steps), self.rows_per_step)
-
     def to_cvxpy(self) -> Any:
         """Express the program in CVXPY with its parameters; vectors are columns."""
         import cvxpy as cp
 
-        transfer, units, step = self.transfer, self.state_units, self.row_steps
+        transfer, units = self.transfer, self.state_units
+        step = np.repeat(np.arange(self.horizon_steps), self.rows_per_step)  # of each row
         T, n, m = transfer.model.B.shape
         A = transfer.model.A[0] * units / units[:, None]
         B = transfer.model.B[0] * transfer.max_control / units[:, None]
