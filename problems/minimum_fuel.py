@@ -264,8 +264,7 @@ def _solve_with_highs(
     from problems.solvers import solve_highs
 
     r, N = Q.shape
-    box = np.vstack([np.eye(2 * N), -np.eye(2 * N)])
-    A = np.vstack([np.concatenate([Q, -Q], axis=1), box])
+    A = np.vstack([np.concatenate([Q, -Q], axis=1), np.eye(2 * N), -np.eye(2 * N)])
     limits = np.concatenate([b, np.ones(2 * N), np.zeros(2 * N)])
     problem = ConicProgram(np.concatenate([w, w]), csc_array(A), limits, r, 4 * N)
     try:
