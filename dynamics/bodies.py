@@ -47,8 +47,7 @@ NO_BODY = "is missing, and mu = {:.6g} m³/s² is of no known body; 0 is Kepleri
 
 def find_body(mu: float) -> Body:
     """Find the body with a gravitational parameter [m³/s²]; `UNKNOWN` where there is none."""
-    near = (body for body in BODIES if abs(mu - body.mu) <= SAME_BODY * body.mu)
-    return next(near, UNKNOWN)
+    return next((body for body in BODIES if abs(mu - body.mu) <= SAME_BODY * body.mu), UNKNOWN)
 
 
 def oblateness(J2: float, mu: float, radius: float) -> float:

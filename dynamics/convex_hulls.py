@@ -107,8 +107,7 @@ def body_distances(
     alone, rest = np.flatnonzero(is_point[body]), np.flatnonzero(~is_point[body])
     distance, vector = np.zeros(len(points)), np.zeros((len(points), points.shape[2]))
     if len(alone):
-        relative = points[alone] - corners[body[alone], :1]
-        distance[alone], vector[alone] = min_norm_points(relative)
+        distance[alone], vector[alone] = min_norm_points(points[alone] - corners[body[alone], :1])
     for first in range(0, len(rest), MAX_HULLS):
         few = rest[first : first + MAX_HULLS]
         distance[few], vector[few] = _distances_by_supports(points[few], corners[body[few]])

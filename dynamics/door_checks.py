@@ -288,8 +288,7 @@ def _check_class(kind: type | str) -> Check:
         known = {} if isinstance(value, type) else getattr(value, "array_sizes", {})
         for axis, size in known.items():
             if not axis.startswith("own_") and sizes.known.setdefault(axis, size) != size:
-                reason = f"must be {sizes.known[axis]} as of the others, got {size}"
-                raise InputError(axis, reason)
+                raise InputError(axis, f"must be {sizes.known[axis]} as of the others, got {size}")
         return value
 
     return check

@@ -102,8 +102,7 @@ class LinearPlant(Plant):
         """Return the states at equal instants from t to t + dt, the first of them x itself."""
         validate_propagation(x, u, dt, substeps, self.model.axes)
         steps = discretize_zoh(self.model, dt / substeps, substeps, t)
-        held = np.repeat(u[:, None], substeps, axis=1)
-        return np.moveaxis(steps.simulate(x, held), 1, 0)
+        return np.moveaxis(steps.simulate(x, np.repeat(u[:, None], substeps, axis=1)), 1, 0)
 
 
 @checked
@@ -140,9 +139,7 @@ class NonlinearPlant(Plant):
         # The integrator bounds the root mean square over all entries; divided by the root
         # of their number, the tolerance bounds each agent.
         atol = np.tile(np.repeat(ATOL, self.model.axes), len(present)) / np.sqrt(len(present))
-        held = u[present]
-
-        asked = count()
+        held, asked = u[present], count()
 
         def rate(s: float, y: Array) -> Array:
             if next(asked) > MAX_ASKED * substeps:
