@@ -171,10 +171,9 @@ class AvoidanceProblem:
         import cvxpy as cp
 
         x, u, effort, limits = self.transfer.build_cvxpy(self.start)
-        rows = len(self.half_spaces.rhs)
         terminal_error, slack = cp.Variable(len(self.start)), cp.Variable(nonneg=True)
         limits.append(x[len(self.transfer.model)] + terminal_error == self.goal)
-        if rows:
+        if len(self.half_spaces.rhs):
             limits.append(self.half_spaces.to_cvxpy(x, u) + slack >= self.half_spaces.rhs)
         if relaxation in KEEPS_TERMINAL_STATE:
             limits.append(terminal_error == 0)
@@ -191,10 +190,9 @@ class AvoidanceProblem:
 
     @property
     def _penalty(self) -> float:
-        duration = len(self.transfer.model) * self.transfer.model.dt
+        transfer, duration = self.transfer, len(self.transfer.model) * self.transfer.model.dt
         # At full control another m/s of fuel takes 2 U of energy.
-        is_fuel = self.transfer.objective == "fuel"
-        marginal = 1.0 if is_fuel else 2 * self.transfer.control_limit.most
+        marginal = 1.0 if transfer.objective == "fuel" else 2 * transfer.control_limit.most
         return marginal * RELAXATION_PENALTY / duration
 
     @property

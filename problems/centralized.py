@@ -151,8 +151,7 @@ class CentralizedProblem:
 
     @cached_property
     def _program(self) -> SwarmProgram:
-        each = self.own_transfers, self.clearances
-        return SwarmProgram(self.transfer, self.horizon, *each)
+        return SwarmProgram(self.transfer, self.horizon, self.own_transfers, self.clearances)
 
     def solve(
         self, start: AgentStates, goal: AgentStates, guesses: Sequence[InitialGuess]
@@ -236,8 +235,7 @@ class CentralizedProblem:
         if not found.is_feasible or found.padding <= MAX_PADDING:
             return found
         # This is an optimum of the padded program: solve once more from there without padding.
-        unpadded = np.full(len(instants.time), MIN_DISTANCE)
-        bare = instants._replace(min_distance=unpadded)
+        bare = instants._replace(min_distance=np.full(len(instants.time), MIN_DISTANCE))
         again, _ = self._refine_constraints(ends, (found.x, found.u), bare, cheapest, nearby=True)
         return again if again.is_feasible and again.cost < found.cost else found
 

@@ -150,8 +150,7 @@ class SwarmProgram:
     @cached_property
     def control_unit(self) -> float:
         """Largest limit of a control, U."""
-        each = self.own_transfers or (self.transfer,)
-        return max(own.control_limit.most for own in each)
+        return max(own.control_limit.most for own in self.own_transfers or (self.transfer,))
 
     def transfer_of(self, agent: int) -> TransferProblem:
         """Return the transfer of an agent."""

@@ -146,8 +146,7 @@ class ConicProgram:
         worst = [0.0] if dual else [np.abs(s[: self.zero]).max(initial=0.0)]
         worst.append(0.0 - s[self.zero : self.linear].min(initial=0.0))  # 0.0 − avoids −0
         for rows in self.soc_rows:
-            t, y = s[rows][0], s[rows][1:]
-            worst.append(np.linalg.norm(y) - t)
+            worst.append(np.linalg.norm(s[rows][1:]) - s[rows][0])
         worst += [-np.linalg.eigvalsh(smat(s[rows]))[0] for rows in self.psd_rows]
         return _max_or_nan(worst)
 

@@ -93,8 +93,7 @@ def generate_constraints(
     program = FuelProgram(cost / unit, slack_penalty / unit)
     for k, state, penalty in goals:
         some = penalty > 0
-        error = (free[k] - state)[some]
-        program.add(response[k][some], error, penalty[some] / unit)
+        program.add(response[k][some], (free[k] - state)[some], penalty[some] / unit)
     known, is_confirmed = np.zeros(len(spaces.rhs), dtype=bool), False
     for _ in range(MAX_ROUNDS):
         status = program.confirm() if is_confirmed else program.solve()
@@ -137,8 +136,8 @@ def _list_tangents(
     its direction halves the angle between these; those on each side of it halve it once more.
     """
     if limit.faces is not None:
-        rows = np.tile(limit.faces, (len(v), 1))
-        return rows, limit.most, np.repeat(instants, len(limit.faces))
+        count = len(limit.faces)
+        return np.tile(limit.faces, (len(v), 1)), limit.most, np.repeat(instants, count)
     size = limit.measure(v)[:, None]
     unit = v / limit.shares / size
     width = np.sqrt(2 * np.maximum(size / limit.most - 1, 0.0)) / 2

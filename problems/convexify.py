@@ -218,9 +218,8 @@ def convexify_end(
     n = normal[:, later]
     farthest = np.einsum("opd,opid->opi", n, others[:, later]).max(axis=2)
     rhs = farthest + separation[:, None] - n @ r
-    step_index = np.full(rhs.size, T - 1)
     flat = n.reshape(-1, n.shape[2])
-    return HalfSpaces(step_index, flat @ P, flat @ Q, rhs.flatten())
+    return HalfSpaces(np.full(rhs.size, T - 1), flat @ P, flat @ Q, rhs.flatten())
 
 
 @checked

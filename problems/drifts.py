@@ -142,8 +142,7 @@ class DriftHorizon:
         moved[:count] = x[:count] - nominal.x[:count]
         moves = np.einsum("rjdn,rn->rjd", self._all_maps, moved[self.step])
         path = own.path.copy()
-        d = u.shape[-1]
-        path[:count] = _join(x[:count], x[1 : count + 1], self.lengths[:count], d)
+        path[:count] = _join(x[:count], x[1 : count + 1], self.lengths[:count], u.shape[-1])
         return Drifts(path, own.drifts + moves)
 
     @cached_property

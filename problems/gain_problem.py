@@ -67,8 +67,7 @@ class GainProblem:
     @classmethod
     def from_formation(cls, formation: DesiredFormation, axes: Axes) -> "GainProblem":
         """Pose the problem of the horizontal or the vertical gains."""
-        kernel = formation.kernel_xy if axes == "xy" else formation.kernel_z
-        return cls(kernel, formation.graph)
+        return cls(formation.kernel_xy if axes == "xy" else formation.kernel_z, formation.graph)
 
     @property
     def m(self) -> int:

@@ -223,8 +223,7 @@ def connectivity_eigenvalues(
     weight: Float[Array, "*k n n"], members: Bool[Array, "*k n"]
 ) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
     """Compute λ₂ and λ₃ as `algebraic_connectivity`, without the gradient."""
-    value = np.linalg.eigvalsh(_pad_laplacian(weight, members))
-    return _select_eigenvalues(value, members)[1:]
+    return _select_eigenvalues(np.linalg.eigvalsh(_pad_laplacian(weight, members)), members)[1:]
 
 
 def _pad_laplacian(weight: Weights, members: Bool[Array, "*k n"]) -> Float[Array, "*k n n"]:

@@ -154,9 +154,8 @@ class JointStopProblem:
         is_near = np.linalg.norm(relative, axis=-1).min(axis=2) < NEAR * kept[:, None]
         pair, piece = np.nonzero(is_near)
         none = np.zeros((len(piece), *paths.shape[2:]))
-        parts = i[pair], j[pair], pair, piece, normal[pair, piece], none, kept[pair]
-        found = [NearPieces(*parts)]
-        groups = len(i)
+        planes = normal[pair, piece], none, kept[pair]
+        found, groups = [NearPieces(i[pair], j[pair], pair, piece, *planes)], len(i)
         for a in np.flatnonzero(self.is_free).tolist():
             obstacles = self.vehicles[a].obstacles
             if obstacles is None:
@@ -249,12 +248,10 @@ class JointStopProblem:
         b = np.concatenate([zero[1], nonnegative[1], room[at, point], np.zeros(slacks), cones[1]])
         quadratic, linear = self._cost(u)
         q = np.append(linear, np.full(slacks, SLACK_WEIGHT))
-        P = diags_array(np.append(quadratic, np.zeros(slacks)))
+        P = csc_array(diags_array(np.append(quadratic, np.zeros(slacks))))
         inequalities, d = len(nonnegative[1]) + len(at) + slacks, u.shape[2]
         sizes = (d + 1,) * (len(cones[1]) // (d + 1))
-        program = ConicProgram(
-            q, csc_array(A), b, len(zero[1]), inequalities, sizes, P=csc_array(P)
-        )
+        program = ConicProgram(q, csc_array(A), b, len(zero[1]), inequalities, sizes, P=P)
         unknowns = solve_program(program).x
         slack = np.zeros(int(near.group.max(initial=-1)) + 1)
         slack[groups] = unknowns[count:]

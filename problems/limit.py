@@ -69,8 +69,7 @@ class Limit:
     def most_along(self, direction: Float[Array, "*k m"]) -> Float[Array, "*k"]:
         """Compute the largest product of a vector in the set with a direction."""
         duals: dict[Norm, Norm] = {1: "inf", 2: 2, "inf": 1}
-        dual = vector_norm(direction * self.shares, duals[self.norm])
-        return np.asarray(self.most * dual)
+        return np.asarray(self.most * vector_norm(direction * self.shares, duals[self.norm]))
 
     @cached_property
     def largest_length(self) -> float:

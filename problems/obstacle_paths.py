@@ -47,8 +47,7 @@ class ObstaclePaths(NamedTuple):
     ) -> "ObstaclePaths":
         """Return the same, and points with the distances to keep from each [m]."""
         corners = np.zeros((len(paths), *self.corners.shape[1:]))
-        velocity = np.zeros((len(paths), paths.shape[-1]))
-        more = ObstaclePaths(paths, corners, clearance, velocity)
+        more = ObstaclePaths(paths, corners, clearance, np.zeros((len(paths), paths.shape[-1])))
         return ObstaclePaths(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
     def held_after(self, count: int) -> "ObstaclePaths":
@@ -131,11 +130,9 @@ def nearest_points(
 
     For a path inside, the points through which obstacles move.
     """
-    begin = path[:, :1] - obstacles.paths[:, :, :1]
-    gap, vector = measure_gaps(begin, obstacles)
-    nearest = path[:, 0] - vector
+    gap, vector = measure_gaps(path[:, :1] - obstacles.paths[:, :, :1], obstacles)
     inside = gap <= INSIDE * obstacles.clearance[:, None]
-    return np.where(inside[..., None], obstacles.paths[:, :, 0], nearest)
+    return np.where(inside[..., None], obstacles.paths[:, :, 0], path[:, 0] - vector)
 
 
 def support_obstacles(
@@ -193,12 +190,8 @@ def choose_half_spaces(
     if obstacles is None:
         return others, normals, required
     support, across = support_obstacles(nominal, obstacles, side)
-    kept = obstacles.clearance * (1 + SEPARATION_TOLERANCE)
-    return (
-        np.concatenate([others, support]),
-        np.concatenate([normals, across]),
-        np.append(required, kept),
-    )
+    kept = np.append(required, obstacles.clearance * (1 + SEPARATION_TOLERANCE))
+    return np.concatenate([others, support]), np.concatenate([normals, across]), kept
 
 
 def _pass_by(

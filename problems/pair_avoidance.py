@@ -131,9 +131,8 @@ class PairProblem:
         if len(rows.first.rhs):
             total = rows.first.to_cvxpy(x, u) + rows.second.to_cvxpy(y, v)
             constraints.append(total >= rows.first.rhs + rows.second.rhs)
-        problem = cp.Problem(
-            cp.Minimize((cost + other_cost) / cost_unit(self._members)), constraints
-        )
+        both = (cost + other_cost) / cost_unit(self._members)
+        problem = cp.Problem(cp.Minimize(both), constraints)
         solve_cvxpy(self, problem, self.first.solver)
         first, second = (
             member.transfer.simulate(
@@ -159,8 +158,7 @@ class PairProblem:
             blocks.append(np.hstack([*(s * U * coeffs for s in signs), norms]))
             rhs += own_rhs
         shared = np.hstack(blocks)
-        most = np.abs(shared).sum(axis=1) / len(signs)
-        breakable = most > rhs  # most rows hold for any control
+        breakable = np.abs(shared).sum(axis=1) / len(signs) > rhs  # most rows hold for any control
         first, second = parts
         added = int(breakable.sum())
         # Equations, then inequalities, the shared ones last, then cones.

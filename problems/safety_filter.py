@@ -54,8 +54,7 @@ class SafetyFilterProblem:
         # Few half-spaces are active: add the one that is violated most at each step, until none is.
         active = np.zeros(len(self.half_spaces.rhs), dtype=bool)
         while True:
-            problem = replace(self, half_spaces=self.half_spaces.select(active))
-            found = problem._solve()
+            found = replace(self, half_spaces=self.half_spaces.select(active))._solve()
             violation = np.where(active, 0.0, self.half_spaces.violation(found.x, found.u))
             tolerance = VIOLATION_TOLERANCE * float(np.abs(found.x).max())
             violated = self.half_spaces.worst_per_step(violation, tolerance)

@@ -268,10 +268,9 @@ class TransferProblem:
         n = self.model.A.shape[1]
         start, target = cp.Parameter(n, name="start"), cp.Parameter(n, name="target")
         x, u, effort, limits = self.build_cvxpy(start)
-        arrival = x[len(self.model)] == target
         if self.objective == "energy":
             effort = effort / (self.model.dt * self.control_limit.most**2)  # of the order of 1
-        return cp.Problem(cp.Minimize(effort), [*limits, arrival]), u
+        return cp.Problem(cp.Minimize(effort), [*limits, x[len(self.model)] == target]), u
 
     def build_cvxpy(
         self, start: Float[Array, " n"] | Expression

@@ -86,8 +86,7 @@ def list_families() -> list[str]:
 def load_family(name: str, size: Size) -> Family:
     """Load the programs of one family and size."""
     if name not in list_families():
-        known = ", ".join(list_families())
-        raise ValueError(f'there is no family "{name}"; there are {known}')
+        raise ValueError(f'there is no family "{name}"; there are {", ".join(list_families())}')
     with (files(__name__) / f"{name}-{size}.npz").open("rb") as file, np.load(file) as data:
         # A and q are stored once for all the instances that share them.
         shared = [_parse_program(data, k) for k in range(int(data["programs"]))]
