@@ -142,9 +142,8 @@ def run_cbaa(auction: CbaaAuction) -> CbaaResult:
     rng = auction.rng or np.random.default_rng(0)
     is_down = NO_OUTAGES if auction.outages is None else auction.outages
     run_rounds(state, auction.rounds or UNLIMITED_ROUNDS, auction.loss, rng, is_down)
-    return CbaaResult(
-        state.point, state.finished_round, state.price, state.winner, int(state.round[0])
-    )
+    rounds = int(state.round[0])
+    return CbaaResult(state.point, state.finished_round, state.price, state.winner, rounds)
 
 
 class CbaaState(NamedTuple):

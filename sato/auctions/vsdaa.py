@@ -200,8 +200,7 @@ def _count_news(state: "VsdaaState", logs: Sequence["BidLog"]) -> dict[str, Int[
     is_other[1:] = target[1:] != target[:-1]
     is_same[1:] = (price[1:] == price[:-1]) & (winner[1:] == winner[:-1]) & ~is_other[1:]
     counts = np.zeros((2, len(state.alive)), dtype=np.int64)
-    last = int(round.max(initial=0)) + int(state.most_hops[0])
-    told = np.full(last + 1, -1, dtype=np.int32)
+    told = np.full(int(round.max(initial=0)) + int(state.most_hops[0]) + 1, -1, dtype=np.int32)
     _count_changes(state.hops, told, agent, round, is_other, is_same, *counts)
     return {"message_count": counts[0], "entry_count": counts[1]}
 
@@ -276,8 +275,7 @@ class BidLog(NamedTuple):
 
     def select(self, end: int) -> "BidLog":
         """Return a copy of the first bids."""
-        columns = (part[:end].copy() for part in self)
-        return BidLog(*columns)._replace(size=np.array([0, end]))
+        return BidLog(*(part[:end].copy() for part in self))._replace(size=np.array([0, end]))
 
 
 def init_state(

@@ -48,15 +48,13 @@ class Link(Definition):
         """Refuse what has no meaning in a system, by the names of fields."""
         for field in fields_of(Link):
             if field.name in reasons and getattr(self, field.name) != field.default:
-                reason = f"{reasons[field.name]}; leave it out"
-                raise InputError(f"link.{field.key}", reason)
+                raise InputError(f"link.{field.key}", f"{reasons[field.name]}; leave it out")
 
     def check(self) -> None:
         """Refuse outages without a length, or without time between two of them."""
         if (self.outage > 0) != (self.outage_share > 0):
-            lacks, has = (
-                ("outage_share", "outage_s") if self.outage else ("outage_s", "outage_share")
-            )
+            keys = "outage_s", "outage_share"
+            lacks, has = keys[::-1] if self.outage else keys
             raise InputError(lacks, f"is 0, and {has} is not: give both, or neither")
         if self.outage > 0 and self.round > 0 and self.mean_up_rounds < 1 - 1e-9:
             mean, share = (self.outage_rounds + 1) / 2, self.outage_share

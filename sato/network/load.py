@@ -92,8 +92,7 @@ def count_messages(
     rounds: Int[Array, " agents"], speaks: Bool[Array, "agents rounds"]
 ) -> Int[Array, " agents"]:
     """Count the messages of agents that have something to say after these rounds."""
-    is_sent = speaks & (np.arange(speaks.shape[1]) < rounds[:, None])
-    return np.asarray(is_sent.sum(axis=1))
+    return np.asarray((speaks & (np.arange(speaks.shape[1]) < rounds[:, None])).sum(axis=1))
 
 
 def mark_changes(

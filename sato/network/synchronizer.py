@@ -41,8 +41,7 @@ class Synchronizer:
             np.minimum(later[k], ahead[k + 1], out=ahead[k])
             if known + k >= self._first_stop:
                 ahead[k, silent <= known + k] = NEVER
-        before = np.minimum(self._heard[:-1], ahead[0])
-        self._heard = np.vstack([before, ahead])
+        self._heard = np.vstack([np.minimum(self._heard[:-1], ahead[0]), ahead])
 
     def find_edges(self, sender: Int[Array, " k"], receiver: Int[Array, " k"]) -> Int[Array, " k"]:
         """Return the places of edges in the list."""

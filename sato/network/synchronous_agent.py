@@ -47,8 +47,7 @@ class SynchronousAgent(NamedTuple):
     @property
     def packet(self) -> Packet:
         """Packet to send in this round of the network."""
-        contents = self.stage.message, *self.previous
-        return Packet(self.number, self.instant, self.round, contents)
+        return Packet(self.number, self.instant, self.round, (self.stage.message, *self.previous))
 
     @property
     def is_finished(self) -> bool:

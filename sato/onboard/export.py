@@ -104,8 +104,7 @@ def generate_solver(problem: FixedSizeAvoidanceProblem, folder: Path) -> list[st
             warnings.simplefilter("ignore")  # they concern its own dependencies
             cpg.generate_code(problem.to_cvxpy(), code_dir=whole, solver="QOCO", wrapper=False)
         shutil.copytree(Path(whole, "c"), folder, ignore=shutil.ignore_patterns(*IGNORED_PATTERNS))
-    code = (folder / "src" / "cpg_solve.c").read_text(encoding="utf-8")
-    setup_call = SETUP_CALL.search(code)
+    setup_call = SETUP_CALL.search((folder / "src" / "cpg_solve.c").read_text(encoding="utf-8"))
     if setup_call is None:
         raise RuntimeError("this version of CVXPYgen generates other C than version 1.0")
     return list(setup_call.groups())

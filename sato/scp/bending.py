@@ -88,9 +88,8 @@ def bend(agent: Planner, inbox: Sequence[PathMessage]) -> Planner:
     push = share[near, None, None] * push_apart(relative[near], wanted)
     count = np.maximum(push.any(axis=2).sum(axis=0), 1)
     shift = _smooth(agent, push.sum(axis=0) / count[:, None], float(R[near].max()))
-    return agent._replace(
-        control_points=agent.control_points + interpolate_shift(shift), has_converged=False
-    )
+    pushed = agent.control_points + interpolate_shift(shift)
+    return agent._replace(control_points=pushed, has_converged=False)
 
 
 def obstacle_messages(agent: Planner) -> list[PathMessage]:
@@ -149,8 +148,7 @@ def _smooth(agent: Planner, push: Float[Array, "pieces d"], R: float) -> Float[A
     pieces, h = len(push), agent.horizon.fine_model.dt
     wide = max(2, ceil(SMOOTHING * (R / agent.transfer.control_limit.least_length) ** 0.5 / h))
     window = np.hanning(2 * wide + 1)
-    spread = [np.convolve(one, window)[wide : wide + pieces] for one in push.T]
-    smooth = np.stack(spread, axis=1)
+    smooth = np.stack([np.convolve(one, window)[wide : wide + pieces] for one in push.T], axis=1)
     largest, now = (np.linalg.norm(part, axis=1).max() for part in (push, smooth))
     k, end = np.arange(pieces + 1), count_pieces_left(agent)
     ramp = np.minimum(1.0, np.minimum(k, np.maximum(end - k, 0)) / wide) ** 2

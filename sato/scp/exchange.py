@@ -74,8 +74,7 @@ def measure_changes(before: Mapping[int, Planner], after: Mapping[int, Planner])
     return {
         i: REAL * agent.number_count
         for i, agent in after.items()
-        if agent is not before[i]
-        and agent.control_points is not before[i].control_points
+        if agent.control_points is not before[i].control_points
         and has_moved(agent.control_points, before[i].control_points, agent.horizon.clearance).any()
     }
 

@@ -72,8 +72,7 @@ def _count_bending(history: Sequence[Mapping[int, Planner]], graph: Communicatio
     """Count the load of paths that bend until all know that none moves."""
     first, payload = history[0], np.zeros(len(graph.alive), dtype=np.int64)
     for i, agent in first.items():
-        numbers = agent.control_points.shape[-1] + agent.number_count
-        payload[i] = FIRST_PATH + REAL * numbers
+        payload[i] = FIRST_PATH + REAL * (agent.control_points.shape[-1] + agent.number_count)
     moves = list[tuple[int, int]]()
     for round, (before, after) in enumerate(pairwise(history), 1):
         for i in [i for i, agent in after.items() if agent is not before[i]]:
@@ -137,8 +136,7 @@ def solve_halfway(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner
     ]
     # One that found none in the last round is likely to find none.
     least = VIOLATION_TOLERANCE * R
-    relaxations = RELAXATIONS[1:] if agent.slack > least else RELAXATIONS
-    for relaxation in relaxations:
+    for relaxation in RELAXATIONS[1:] if agent.slack > least else RELAXATIONS:
         agent = agent._replace(solve_count=agent.solve_count + 1)
         result = solve_around(agent, middles, nominal, "same", relaxation)
         if result is not None:

@@ -88,8 +88,7 @@ def negotiate(
     for _ in range(sweeps):
         looking = {i for i in continuing if any(costs[i])}
         turns = schedule_pairs(now, graph, looking)
-        part = {i: now[i] for i in sorted(looking)}
-        load = load.plus(_count_load(part, graph, turns))
+        load = load.plus(_count_load({i: now[i] for i in sorted(looking)}, graph, turns))
         rounds += 1 + flooding
         if not turns:
             break
@@ -130,10 +129,8 @@ def schedule_pairs(
     looking = {i: agent for i, agent in planners.items() if i in continuing}
     nearby = run_round(graph, looking, find_nearby, messages)
     pairs = {(min(i, j), max(i, j)) for i, others in nearby.items() for j in others}
-    return [
-        {a: b for i, j in turn for a, b in ((i, j), (j, i))}
-        for turn in schedule_turns(graph, pairs)
-    ]
+    turns = schedule_turns(graph, pairs)
+    return [{a: b for i, j in turn for a, b in ((i, j), (j, i))} for turn in turns]
 
 
 def find_nearby(agent: Planner, inbox: list[TrajectoryMessage]) -> list[int]:

@@ -162,10 +162,8 @@ class Planner(NamedTuple):
 
     def keeps_clear(self, messages: Sequence[TrajectoryMessage]) -> bool:
         """Return True where its nominal keeps clear of the senders and of obstacles."""
-        path, obstacles = self.control_points, self.obstacles
-        is_apart = is_path_clear(path, obstacles) and is_clear(
-            path, messages, self.horizon.clearance
-        )
+        path, clearance = self.control_points, self.horizon.clearance
+        is_apart = is_path_clear(path, self.obstacles) and is_clear(path, messages, clearance)
         return is_apart and (self.passive is None or self.passive.is_safe(drifts_of(messages)))
 
     def reaches_target(self, trajectory: Trajectory) -> bool:
@@ -200,8 +198,7 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     lacking = violation(agent.control_points, agent.obstacles)
     if above:
         radii = pair_clearances(above, agent.horizon.clearance)
-        of_others = separation_violation(agent.control_points - paths_of(above), radii)
-        lacking = max(lacking, of_others)
+        lacking = max(lacking, separation_violation(agent.control_points - paths_of(above), radii))
     if agent.passive is not None and not agent.passive.is_safe(drifts_of(above)):
         agent = agent._replace(has_failed=True)
     return agent._replace(is_final=True, slack=max(agent.slack, lacking))
@@ -290,9 +287,8 @@ def _solve_avoidance(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> Pl
     feasible = [result for result in tried if result is not None]
     agent = agent._replace(solve_count=agent.solve_count + len(sides))
     if feasible:
-        return agent.with_result(
-            min(feasible, key=lambda result: agent.transfer.cost(result.trajectory))
-        )
+        cost = agent.transfer.cost
+        return agent.with_result(min(feasible, key=lambda result: cost(result.trajectory)))
     relaxations = RELAXATIONS_IN_TURN if agent.in_turn else RELAXATION_ORDER
     if agent.passive is not None:  # the next iteration begins nearer to what is asked
         relaxations = RELAXATIONS_FOR_DRIFTS
@@ -319,8 +315,7 @@ def minimize_terminal_error(
 ) -> Trajectory:
     """Return the trajectory that ends nearest the target; free motion if none is found."""
     try:
-        own = AvoidanceProblem.alone(transfer, start, target, solver)
-        return own.solve("terminal").trajectory
+        return AvoidanceProblem.alone(transfer, start, target, solver).solve("terminal").trajectory
     except Unsolved:
         return transfer.simulate(start, np.zeros(transfer.model.B.shape[::2]))
 

@@ -97,8 +97,7 @@ def solve_roundabout(
             clear, graph, lambda agent: agent.reaches_target(agent.nominal)
         )
         now = {i: agent for i, agent in now.items() if i not in done}
-    solves = count_solves(now | done)
-    return ConflictResolution(done, rounds, solves, load)
+    return ConflictResolution(done, rounds, count_solves(now | done), load)
 
 
 def update_in_turn(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planner:

@@ -36,13 +36,11 @@ class Roadmap(NamedTuple):
 def go_around(agent: Planner) -> Planner:
     """Begin with the shortest way around obstacles at rest, where the solo trajectory meets any."""
     assert agent.obstacles is not None
-    is_still = np.asarray(~agent.obstacles.velocity.any(axis=1))
-    still = agent.obstacles.select(is_still)
+    still = agent.obstacles.select(np.asarray(~agent.obstacles.velocity.any(axis=1)))
     alone = agent.horizon.control_points(agent.solo.x, agent.solo.u)
     if not len(still.paths) or len(agent.nominal.u) == 0 or is_path_clear(alone, still):
         return agent
-    d = alone.shape[-1]
-    target = agent.horizon.scale_points(agent.target_state[:d])
+    target = agent.horizon.scale_points(agent.target_state[: alone.shape[-1]])
     way = find_route(alone[0, 0], target, still)
     if way is None:
         return agent
@@ -81,8 +79,7 @@ def follow_route(
     way: Float[Array, "corners d"], alone: Float[Array, "pieces 4 d"]
 ) -> Float[Array, "pieces 4 d"]:
     """Return control points along a way, at the pace of a path that is flown alone."""
-    flat = alone.reshape(-1, alone.shape[-1])
-    steps = np.linalg.norm(np.diff(flat, axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(alone.reshape(-1, alone.shape[-1]), axis=0), axis=1)
     passed = np.append(0.0, np.cumsum(steps))
     share = passed / passed[-1]
     legs = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))

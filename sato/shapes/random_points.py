@@ -37,8 +37,7 @@ def sample_separated(
     k, rejections = len(occupied), 0
     while k < len(points):
         drawn = draw()
-        offset = points[:k, :axes] - drawn[:axes]
-        if np.all(np.sum(offset**2, axis=1) >= separation**2):
+        if np.all(np.sum((points[:k, :axes] - drawn[:axes]) ** 2, axis=1) >= separation**2):
             points[k] = drawn
             k, rejections = k + 1, 0
         elif (rejections := rejections + 1) == MAX_REJECTIONS:

@@ -46,8 +46,7 @@ class Lattice(Shape):
         nodes = _lattice_nodes(count, 2 if self.flat else axes)
         nodes = nodes[farthest_point_sampling(nodes, count)]
         middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
-        radius = float(np.linalg.norm(nodes - middle, axis=1).max())
-        return Drawing(nodes, middle, radius)
+        return Drawing(nodes, middle, float(np.linalg.norm(nodes - middle, axis=1).max()))
 
 
 def embed_in_plane(points: Float[Array, "k 2"], normal: Sequence[float]) -> Float[Array, "k 3"]:
