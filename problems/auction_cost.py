@@ -20,12 +20,16 @@ from problems.transfer import Solver, Trajectory, TransferProblem, compute_energ
 TIE_BREAK_RISE = 1e-7  # makes optima unique, at the cost of at most this part of the fuel
 MAX_COORDINATES = 500_000  # of controls of all pairs that are computed at once
 
+Starts = Float[Array, "agents n"]  # states of agents [m, m/s]
+Costs = Float[Array, "agents targets"]
+Targets = Float[Array, "targets n"]  # states to reach [m, m/s]
+
 
 @checked
 class TransferCosts(NamedTuple):
     """Least fuel or energy for every agent and target, without collision avoidance."""
 
-    cost: Float[Array, "agents targets"]  # [m/s] or [m²/s³]; above all others where unreachable
+    cost: Costs  # [m/s] or [m²/s³]; above all others where unreachable
     is_reachable: Bool[Array, "agents targets"]
     is_exact: Bool[Array, "agents targets"]  # else a lower bound: its path breaks a limit
 
@@ -33,8 +37,8 @@ class TransferCosts(NamedTuple):
 @checked
 def compute_transfer_costs(
     transfer: TransferProblem,
-    start: Float[Array, "agents n"],
-    targets: Float[Array, "targets n"],
+    start: Starts,
+    targets: Targets,
     solvers: Sequence[Solver] | None = None,
 ) -> TransferCosts:
     """Compute the least fuel or energy of every pair of agent and target.
@@ -80,10 +84,7 @@ def compute_transfer_costs(
 
 
 def _compute_fuel(
-    transfer: TransferProblem,
-    start: Float[Array, "agents n"],
-    targets: Float[Array, "targets n"],
-    b: Float[Array, "agents targets n"],
+    transfer: TransferProblem, start: Starts, targets: Targets, b: Float[Array, "agents targets n"]
 ) -> tuple[Any, Any, Any]:
     """Return the fuel of every displacement, and where it is reachable, and where it is exact."""
     steps, d, shape = transfer.model, transfer.model.axes, b.shape[:2]
@@ -109,10 +110,7 @@ def _compute_fuel(
 
 
 def _check_limits(
-    transfer: TransferProblem,
-    start: Float[Array, "agents n"],
-    targets: Float[Array, "targets n"],
-    burns: Burns,
+    transfer: TransferProblem, start: Starts, targets: Targets, burns: Burns
 ) -> tuple[Bool[Array, "agents targets"], Bool[Array, "agents targets"]]:
     """Return True where burns keep the limits of speed and control, and where that is known.
 
@@ -132,7 +130,7 @@ def _check_limits(
 
 
 def _compute_energy_costs(
-    transfer: TransferProblem, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
+    transfer: TransferProblem, start: Starts, targets: Targets
 ) -> TransferCosts:
     model, U = transfer.model, transfer.control_limit.most
     shape = len(start), len(targets)
@@ -174,25 +172,21 @@ def unreachable_cost(steps: DiscreteModel, max_control: float) -> float:
 
 
 def compute_displacements(
-    steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
+    steps: DiscreteModel, start: Starts, targets: Targets
 ) -> Float[Array, "agents targets n"]:
     """Compute target minus terminal state of the free motion, for every pair."""
     return np.asarray(targets - steps.coast_to_end(start)[:, None])
 
 
 @checked
-def compute_distances(
-    steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
-) -> Float[Array, "agents targets"]:
+def compute_distances(steps: DiscreteModel, start: Starts, targets: Targets) -> Costs:
     """Compute straight distances, the cost of [Morgan2016, Remark 3] [m]."""
     d = steps.axes
     return np.asarray(np.linalg.norm(targets[None, :, :d] - start[:, None, :d], axis=2))
 
 
 @checked
-def compute_energies(
-    steps: DiscreteModel, start: Float[Array, "agents n"], targets: Float[Array, "targets n"]
-) -> Float[Array, "agents targets"]:
+def compute_energies(steps: DiscreteModel, start: Starts, targets: Targets) -> Costs:
     """Compute the least control energy, Δt Σ ‖u‖₂² = bᵀ (C Cᵀ)⁻¹ b Δt, without limits [m²/s³].
 
     It is strictly convex in the displacement b: in the assignment of least energy, trajectories

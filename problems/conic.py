@@ -24,6 +24,8 @@ Status = Literal["solved", "infeasible", "stopped"]
 Verified = Literal["solved", "infeasible", "wrong claim", "unproven", "failed"]
 
 AnyNumber = Annotated[float, ANY_NUMBER]  # also NaN, of a solver that fails
+AnyPoint = Annotated[Float[Array, " n"], ANY_NUMBER]
+AnyDuals = Annotated[Float[Array, " m"], ANY_NUMBER]
 
 
 @checked
@@ -248,19 +250,14 @@ class SolverResult(NamedTuple):
 class ConicSolution(NamedTuple):
     """Primal and dual point, with residuals recomputed from their numbers."""
 
-    x: Annotated[Float[Array, " n"], ANY_NUMBER]
-    y: Annotated[Float[Array, " m"], ANY_NUMBER]  # duals: P x + q + Aᵀy = 0, y in the dual cone
+    x: AnyPoint
+    y: AnyDuals  # duals: P x + q + Aᵀy = 0, y in the dual cone
     primal_residual: AnyNumber  # distance of b − A x from the cone, relative
     dual_residual: AnyNumber  # of P x + q + Aᵀy from zero and y from the dual cone, relative
     gap: AnyNumber  # |xᵀP x + qᵀx + bᵀy|, relative to the cost
 
     @classmethod
-    def evaluate(
-        cls,
-        problem: ConicProgram,
-        x: Annotated[Float[Array, " n"], ANY_NUMBER],
-        y: Annotated[Float[Array, " m"], ANY_NUMBER],
-    ) -> "ConicSolution":
+    def evaluate(cls, problem: ConicProgram, x: AnyPoint, y: AnyDuals) -> "ConicSolution":
         """Compute residuals and duality gap of a primal and dual point."""
         q, A, b = problem.q, problem.A, problem.b
         curvature = problem.hessian @ x
@@ -358,9 +355,7 @@ def verify(
 
 
 @checked
-def verify_ray(
-    problem: ConicProgram, ray: Annotated[Float[Array, " m"], ANY_NUMBER]
-) -> tuple[Float[Array, " m"], str]:
+def verify_ray(problem: ConicProgram, ray: AnyDuals) -> tuple[Float[Array, " m"], str]:
     """Check a certificate of infeasibility, a ray of any length.
 
     Return the ray in the dual cone, scaled to bᵀy = −1, and an objection, which is empty where the

@@ -11,6 +11,7 @@ from dynamics.doors import checked
 from dynamics.inputs import InputError
 from problems.transfer import Expression, TransferProblem
 
+States = Float[Array, "instants n"]
 Rows = Bool[Array, " own_rows"] | Int[Array, " kept"]  # a mask, or numbers of rows
 
 
@@ -29,9 +30,7 @@ class HalfSpaces(NamedTuple):
         n, m = self.state_coeffs.shape[1], self.control_coeffs.shape[1]
         return {"n": n, "m": m, "own_rows": len(self.rhs)}
 
-    def violation(
-        self, x: Float[Array, "instants n"], u: Float[Array, "T m"]
-    ) -> Float[Array, " rows"]:
+    def violation(self, x: States, u: Float[Array, "T m"]) -> Float[Array, " rows"]:
         """Compute rhs minus the left-hand side of each row; positive where it is violated."""
         try:
             x, u = np.take(x, self.step_index, axis=0), np.take(u, self.step_index, axis=0)
@@ -41,9 +40,7 @@ class HalfSpaces(NamedTuple):
         on_x = np.einsum("rn,rn->r", self.state_coeffs, x)
         return np.asarray(self.rhs - on_x - np.einsum("rm,rm->r", self.control_coeffs, u))
 
-    def to_cvxpy(
-        self, x: Float[Array, "instants n"] | Expression, u: Float[Array, "T m"] | Expression
-    ) -> Any:
+    def to_cvxpy(self, x: States | Expression, u: Float[Array, "T m"] | Expression) -> Any:
         """Express the left-hand sides in CVXPY variables."""
         import cvxpy as cp
 
@@ -54,7 +51,7 @@ class HalfSpaces(NamedTuple):
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
     def condense(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+        self, transfer: TransferProblem, free: States
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
 
@@ -67,7 +64,7 @@ class HalfSpaces(NamedTuple):
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
     def condense_breakable(
-        self, transfer: TransferProblem, free: Float[Array, "instants n"]
+        self, transfer: TransferProblem, free: States
     ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
         """Condense the rows that some controls within the limit break; most hold for any."""
         coeffs, rhs = self.condense(transfer, free)

@@ -30,6 +30,11 @@ FAST = 0.5  # of the speed limit, from which on it is in the program
 MAX_PROGRAMS = 5  # in which half-spaces are added
 FULL_BLOCKS, GROWTH = 5, 1.25  # steps with a control of their own; length of each later block
 
+States = Float[Array, "vehicles instants n"]
+Controls = Float[Array, "vehicles T m"]
+Paths = Float[Array, "vehicles pieces 4 d"]  # control points
+Rooms = Float[Array, "rows 4"]  # of the control points of pieces, over the distance
+
 
 class StoppingVehicle(NamedTuple):
     """Vehicle that stops, with its limits, and what it has to avoid."""
@@ -76,16 +81,12 @@ class JointStopProblem:
     required: Float[Array, "vehicles vehicles"]  # distances of two [m]
     is_free: Bool[Array, " vehicles"]  # those that change; all others keep their controls
 
-    def fly(
-        self, u: Float[Array, "vehicles T m"]
-    ) -> tuple[Float[Array, "vehicles instants n"], Float[Array, "vehicles pieces 4 d"]]:
+    def fly(self, u: Controls) -> tuple[States, Paths]:
         """Return states and control points of all."""
         x = self.horizon.discrete_model.simulate(np.stack([v.state for v in self.vehicles]), u)
         return x, self.horizon.control_points(x, u)
 
-    def improve(
-        self, u: Float[Array, "vehicles T m"]
-    ) -> tuple[Float[Array, "vehicles T m"], float]:
+    def improve(self, u: Controls) -> tuple[Controls, float]:
         """Solve the program about nominal controls, with half-spaces added as they are violated.
 
         Return the controls, and the sum of the slack s of these half-spaces.
@@ -140,7 +141,7 @@ class JointStopProblem:
         """Control points of each vehicle along an axis, by its blocks."""
         return [self._on_axis[1] @ E for E in self._blocks]
 
-    def _convexify(self, paths: Float[Array, "vehicles pieces 4 d"]) -> NearPieces:
+    def _convexify(self, paths: Paths) -> NearPieces:
         """Choose half-spaces for all that are near each other, about nominal trajectories."""
         i, j = np.triu_indices(len(paths), 1)
         some = self.is_free[i] | self.is_free[j]
@@ -170,9 +171,7 @@ class JointStopProblem:
             groups += len(kept)
         return NearPieces(*(np.concatenate(part) for part in zip(*found, strict=True)))
 
-    def _room(
-        self, near: NearPieces, paths: Float[Array, "vehicles pieces 4 d"]
-    ) -> Float[Array, "rows 4"]:
+    def _room(self, near: NearPieces, paths: Paths) -> Rooms:
         """Compute by how much control points keep their half-spaces, over the distance.
 
         Infinite for those that no control can move.
@@ -184,11 +183,7 @@ class JointStopProblem:
         return np.where(is_movable, along / near.required[:, None] - 1, np.inf)
 
     def _worst_per_step(
-        self,
-        near: NearPieces,
-        room: Float[Array, "rows 4"],
-        most: float,
-        known: tuple[Array, ...] = (),
+        self, near: NearPieces, room: Rooms, most: float, known: tuple[Array, ...] = ()
     ) -> tuple[Array, Array]:
         """Select rows and points with the least room, of each group and step, if below a bound."""
         least, point = room.min(axis=1), room.argmin(axis=1)
@@ -201,9 +196,7 @@ class JointStopProblem:
             rows = rows[~np.isin(4 * rows + point[rows], 4 * known[0] + known[1])]
         return rows, point[rows]
 
-    def _limits(
-        self, u: Float[Array, "vehicles T m"], x: Float[Array, "vehicles instants n"]
-    ) -> list[tuple[Any, Array]]:
+    def _limits(self, u: Controls, x: States) -> list[tuple[Any, Array]]:
         """Return rows and rhs: rhs − rows · unknowns are zero, nonnegative, or in cones."""
         d, free = self.horizon.discrete_model.axes, np.flatnonzero(self.is_free).tolist()
         eye, found = np.eye(d), list[Any]()
@@ -225,12 +218,12 @@ class JointStopProblem:
 
     def _solve(
         self,
-        u: Float[Array, "vehicles T m"],
+        u: Controls,
         near: NearPieces,
-        room: Float[Array, "rows 4"],
+        room: Rooms,
         rows: tuple[Array, Array],
         limits: list[tuple[Any, Array]],
-    ) -> tuple[Float[Array, "vehicles T m"], Float[Array, " groups"]]:
+    ) -> tuple[Controls, Float[Array, " groups"]]:
         """Solve with some of the half-spaces; the slack of each group of pieces is returned too."""
         at, point = rows
         groups, slack_of = np.unique(near.group[at], return_inverse=True)
@@ -271,7 +264,7 @@ class JointStopProblem:
                 coeffs[rows, columns] = moved.reshape(coeffs[rows, columns].shape)
         return csr_array(coeffs)
 
-    def _cost(self, u: Float[Array, "vehicles T m"]) -> tuple[Array, Array]:
+    def _cost(self, u: Controls) -> tuple[Array, Array]:
         """Return the diagonal of the quadratic cost, and the linear cost."""
         quadratic, linear = [], []
         for vehicle, E, own in zip(self.vehicles, self._blocks, u, strict=True):
@@ -280,9 +273,7 @@ class JointStopProblem:
             linear.append(weight * (E.T @ (own - vehicle.u)).ravel())
         return np.concatenate(quadratic), np.concatenate(linear)
 
-    def _fly_blocks(
-        self, u: Float[Array, "vehicles T m"], unknowns: Float[Array, " unknowns"]
-    ) -> Float[Array, "vehicles T m"]:
+    def _fly_blocks(self, u: Controls, unknowns: Float[Array, " unknowns"]) -> Controls:
         """Return controls within their limits, and a last one that takes what speed is left."""
         after, d, h = u.copy(), u.shape[2], self.horizon.discrete_model.dt
         for a in np.flatnonzero(self.is_free).tolist():

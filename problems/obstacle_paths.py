@@ -22,6 +22,8 @@ from problems.convexify import (
 )
 from problems.path_separation import are_balls_separated
 
+ControlPath = Float[Array, "pieces 4 d"]  # control points of a path [m]
+
 INSIDE = 1e-9  # of the clearance: a path that is nearer than this is taken as inside
 
 
@@ -75,7 +77,7 @@ def measure_gaps(
 
 
 def are_pieces_clear(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
+    path: ControlPath, obstacles: ObstaclePaths
 ) -> Bool[Array, "obstacles pieces"]:
     """Tell which pieces of a path keep the distance from each obstacle."""
     relative = path - obstacles.paths
@@ -101,21 +103,19 @@ def are_points_clear(
     return clear
 
 
-def select_near(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float
-) -> ObstaclePaths:
+def select_near(path: ControlPath, obstacles: ObstaclePaths, factor: float) -> ObstaclePaths:
     """Keep the obstacles that a path may come nearer to than the clearance, times a factor."""
     wide = factor * obstacles.clearance + obstacles.size
     is_far = are_balls_separated(path - obstacles.paths, wide).all(axis=1)
     return obstacles.select(np.asarray(~is_far))
 
 
-def is_path_clear(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> bool:
+def is_path_clear(path: ControlPath, obstacles: ObstaclePaths | None) -> bool:
     """Tell whether a path keeps the distance from all obstacles."""
     return obstacles is None or bool(are_pieces_clear(path, obstacles).all())
 
 
-def violation(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None) -> float:
+def violation(path: ControlPath, obstacles: ObstaclePaths | None) -> float:
     """Compute by how much a path lacks the distance from an obstacle at most [m]."""
     if obstacles is None:
         return 0.0
@@ -124,7 +124,7 @@ def violation(path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths | None)
 
 
 def nearest_points(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths
+    path: ControlPath, obstacles: ObstaclePaths
 ) -> Float[Array, "obstacles pieces d"]:
     """Find the points of the obstacles that are nearest to the beginnings of the pieces of a path.
 
@@ -136,7 +136,7 @@ def nearest_points(
 
 
 def support_obstacles(
-    nominal: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, side: PassingSide = "same"
+    nominal: ControlPath, obstacles: ObstaclePaths, side: PassingSide = "same"
 ) -> tuple[Float[Array, "obstacles pieces 4 d"], Float[Array, "obstacles pieces d"]]:
     """Choose half-spaces between a nominal path and obstacles, one a piece and an obstacle.
 
@@ -168,7 +168,7 @@ def support_obstacles(
 
 
 def choose_half_spaces(
-    nominal: Float[Array, "pieces 4 d"],
+    nominal: ControlPath,
     others: Float[Array, "others pieces 4 d"],
     required: Float[Array, " others"],
     obstacles: ObstaclePaths | None,
@@ -195,13 +195,13 @@ def choose_half_spaces(
 
 
 def _pass_by(
-    relative: Float[Array, "pieces 4 d"],
+    relative: ControlPath,
     gap: Float[Array, " pieces"],
     vector: Float[Array, "pieces d"],
     corners: Float[Array, "corners d"],
     required: float,
     side: PassingSide,
-) -> Float[Array, "pieces 4 d"]:
+) -> ControlPath:
     """Displace a path sideways, gradually before it is nearest, until it passes an obstacle."""
     p = int(np.argmin(gap))
     if gap[p] <= INSIDE * required:  # the piece that is deepest inside

@@ -11,6 +11,7 @@ from dynamics.doors import MAY_BE_NAN, checked
 from dynamics.trajectory_geometry import hull_distance
 
 ControlPoints = Float[Array, "*pairs 4 d"]  # of relative trajectories
+Members = Int[Array, " pairs"]  # one path of each pair, by its number
 Separation = float | Float[Array, " others"]  # of all others, or of each [m]
 
 MAX_COORDINATES = 100_000  # of paths that are compared at once, which stay in the cache of a core
@@ -52,10 +53,7 @@ def are_balls_separated(relative: ControlPoints, radius: Separation) -> Bool[Arr
 
 
 def are_paths_separated(
-    paths: Float[Array, "k pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    paths: Float[Array, "k pieces 4 d"], i: Members, j: Members, radius: Float[Array, " pairs"]
 ) -> Bool[Array, " pairs"]:
     """Return True where all pieces of the pairs i, j of paths keep their distances [m]."""
     separated = np.ones(len(i), dtype=bool)
@@ -64,10 +62,7 @@ def are_paths_separated(
 
 
 def find_meetings(
-    paths: Float[Array, "k pieces 4 d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    paths: Float[Array, "k pieces 4 d"], i: Members, j: Members, radius: Float[Array, " pairs"]
 ) -> tuple[Int[Array, " met"], Int[Array, " met"]]:
     """List the pieces in which numbered pairs do not keep their distances, in little memory."""
     if not len(i):
@@ -86,10 +81,7 @@ def find_meetings(
 
 
 def near_pieces(
-    paths: Float[Array, "k pieces points d"],
-    i: Int[Array, " pairs"],
-    j: Int[Array, " pairs"],
-    radius: Float[Array, " pairs"],
+    paths: Float[Array, "k pieces points d"], i: Members, j: Members, radius: Float[Array, " pairs"]
 ) -> tuple[Int[Array, " near"], Int[Array, " near"]]:
     """List the pieces of pairs of paths whose points may be nearer than a distance.
 
