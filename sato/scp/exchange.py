@@ -1,6 +1,6 @@
 """Method 2 for all agents: exchange trajectories until all are final."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from sato.network.encoding import CLEARANCE, EXCHANGE_REPORT, FLAG, PRIORITY, RE
 from sato.network.graph import CommunicationGraph
 from sato.network.load import Load, count_flood
 from sato.network.rounds import run_round
-from sato.scp.planner import Planner, may_have_to_solve, update_planner
+from sato.scp.planner import Planner, Planners, may_have_to_solve, update_planner
 
 
 class ConflictResolution(NamedTuple):
@@ -26,19 +26,19 @@ class ConflictResolution(NamedTuple):
     load: Load
 
 
-def run_scp(planners: Mapping[int, Planner], graph: CommunicationGraph) -> ConflictResolution:
+def run_scp(planners: Planners, graph: CommunicationGraph) -> ConflictResolution:
     """Exchange trajectories until those of all agents are final."""
     history = [dict(planners), *run_batched(planners, graph)]
     effort = len(history) - 1, count_solves(history[-1]), _count_load(history, graph)
     return ConflictResolution(history[-1], *effort)
 
 
-def count_solves(planners: Mapping[int, Planner]) -> int:
+def count_solves(planners: Planners) -> int:
     """Count the programs that all agents solved."""
     return sum(agent.solve_count for agent in planners.values())
 
 
-def _count_load(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+def _count_load(history: Sequence[Planners], graph: CommunicationGraph) -> Load:
     """Count the load of an exchange: D rounds after the last trajectory is final, all know it.
 
     Those that have met know the trajectories with which the exchange begins.
@@ -60,7 +60,7 @@ def _count_load(history: Sequence[Mapping[int, Planner]], graph: CommunicationGr
 
 
 def count_trajectories(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, rounds: Int[Array, " agents"]
+    planners: Planners, graph: CommunicationGraph, rounds: Int[Array, " agents"]
 ) -> Load:
     """Estimate from above the load of rounds in which an agent tells no more than a trajectory."""
     size = np.zeros(len(graph.alive), dtype=np.int64)
@@ -69,7 +69,7 @@ def count_trajectories(
     return Load.of(graph, list(planners), rounds, (rounds, rounds * size))
 
 
-def measure_changes(before: Mapping[int, Planner], after: Mapping[int, Planner]) -> dict[int, int]:
+def measure_changes(before: Planners, after: Planners) -> dict[int, int]:
     """Return the bytes of the trajectories that have changed, by the numbers of the agents."""
     return {
         i: REAL * agent.number_count
@@ -79,9 +79,7 @@ def measure_changes(before: Mapping[int, Planner], after: Mapping[int, Planner])
     }
 
 
-def run_batched(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> Iterator[dict[int, Planner]]:
+def run_batched(planners: Planners, graph: CommunicationGraph) -> Iterator[dict[int, Planner]]:
     """Let all agents update their planners in rounds, with the geometry of all at once.
 
     Separations are computed only where trajectories changed. Exchanges in which an agent has

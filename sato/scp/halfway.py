@@ -11,7 +11,7 @@ next round these make room for it.
 An agent gives way alone to those of a higher class of priority, and to none of a lower one.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +24,7 @@ from sato.network.load import Load, count_messages, mark_changes
 from sato.network.rounds import run_round
 from sato.scp.bending import bend_all, can_move, stack_paths
 from sato.scp.exchange import measure_changes
-from sato.scp.planner import VIOLATION_TOLERANCE, Planner, TrajectoryMessage, solve_around
+from sato.scp.planner import VIOLATION_TOLERANCE, Planner, Planners, TrajectoryMessage, solve_around
 from sato.scp.spreading import spread_all
 
 MAX_BENDS = 40  # rounds in which paths push each other aside
@@ -38,7 +38,7 @@ Update = Callable[[dict[int, Planner], CommunicationGraph], dict[int, Planner]]
 
 
 def meet_halfway(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
+    planners: Planners, graph: CommunicationGraph
 ) -> tuple[dict[int, Planner], int, Load]:
     """Let all agents bend their paths and solve for trajectories; count rounds with a change.
 
@@ -68,7 +68,7 @@ def _repeat(
     return history
 
 
-def _count_bending(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+def _count_bending(history: Sequence[Planners], graph: CommunicationGraph) -> Load:
     """Count the load of paths that bend until all know that none moves."""
     first, payload = history[0], np.zeros(len(graph.alive), dtype=np.int64)
     for i, agent in first.items():
@@ -90,7 +90,7 @@ def _count_bending(history: Sequence[Mapping[int, Planner]], graph: Communicatio
     return Load.of(graph, list(first), rounds, (messages, payload + LAST_CHANGE * messages))
 
 
-def _count_meetings(history: Sequence[Mapping[int, Planner]], graph: CommunicationGraph) -> Load:
+def _count_meetings(history: Sequence[Planners], graph: CommunicationGraph) -> Load:
     """Count the load of trajectories that change; the exchange begins with the last."""
     messages, payload = np.zeros((2, len(graph.alive)), dtype=np.int64)
     for round, pair in enumerate(pairwise(history), 1):

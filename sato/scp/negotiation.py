@@ -29,6 +29,7 @@ from sato.scp.planner import (
     NEARBY_FACTOR,
     VIOLATION_TOLERANCE,
     Planner,
+    Planners,
     TrajectoryMessage,
     pair_clearances,
     reaches_target,
@@ -75,9 +76,7 @@ class Negotiator(NamedTuple):
         return self.planner.priority[2]
 
 
-def negotiate(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, sweeps: int
-) -> ConflictResolution:
+def negotiate(planners: Planners, graph: CommunicationGraph, sweeps: int) -> ConflictResolution:
     """Let every two nearby agents negotiate once a sweep, by final trajectories of all.
 
     There are fewer sweeps in a component where the last one saved little.
@@ -103,7 +102,7 @@ def negotiate(
 
 
 def _count_load(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, turns: Iterable[Mapping[int, int]]
+    planners: Planners, graph: CommunicationGraph, turns: Iterable[Mapping[int, int]]
 ) -> Load:
     """Count the load of a sweep: a flood of pairs, their turns, and a flood of costs."""
     pairs = np.zeros(len(graph.alive), dtype=np.int64)
@@ -119,7 +118,7 @@ def _has_improved(before: PriorityCost, cost: PriorityCost) -> bool:
 
 
 def schedule_pairs(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, continuing: Container[int]
+    planners: Planners, graph: CommunicationGraph, continuing: Container[int]
 ) -> list[dict[int, int]]:
     """Schedule the partners of each turn: one pair of every component at a time.
 
@@ -152,7 +151,7 @@ def _nominal_points(agent: Planner) -> Float[Array, "pieces 4 d"]:
 
 
 def negotiate_pairs(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, turn: Mapping[int, int]
+    planners: Planners, graph: CommunicationGraph, turn: Mapping[int, int]
 ) -> dict[int, Negotiator]:
     """Run one turn of partners by messages: trajectories, then offers, then agreements."""
     states = {i: Negotiator(planners[i], partner) for i, partner in turn.items()}

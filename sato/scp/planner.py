@@ -1,6 +1,6 @@
 """Memory of one planning agent, and its update in an exchange [Morgan2016, Method 2]."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
@@ -15,6 +15,7 @@ from problems.conic import Unsolved
 from problems.drifts import Drifts
 from problems.half_spaces import HalfSpaces
 from problems.obstacle_paths import (
+    ControlPath,
     ObstaclePaths,
     are_pieces_clear,
     choose_half_spaces,
@@ -62,7 +63,7 @@ class TrajectoryMessage(NamedTuple):
     """Message of an agent to its neighbors."""
 
     priority: Priority  # the smaller is the higher
-    control_points: Float[Array, "pieces 4 d"]
+    control_points: ControlPath
     is_final: bool
     clearance: float  # that two of the sender's kind would keep [m]
     drifts: Drifts | None = None  # where it is to be passively safe
@@ -82,10 +83,10 @@ class Planner(NamedTuple):
     horizon: convexify.AvoidanceHorizon
     solo: Trajectory  # optimal without the others: iterate 0
     nominal: Trajectory
-    control_points: Float[Array, "pieces 4 d"]  # of the nominal, over the horizon
+    control_points: ControlPath  # of the nominal, over the horizon
     obstacles: ObstaclePaths | None = None  # that it knows, over the horizon
     passive: PassiveSafety | None = None
-    route: Float[Array, "pieces 4 d"] | None = None  # around these, where `solo` is not clear
+    route: ControlPath | None = None  # around these, where `solo` is not clear
     relinearize: Callable[[Trajectory], TransferProblem] | None = None  # None: model is linear
     solver: Solver = solve_program  # its own
     has_plan: bool = False  # True where it begins with a plan that it keeps if it can
@@ -171,6 +172,9 @@ class Planner(NamedTuple):
         return reaches_target(trajectory, self.target_state, self.horizon.clearance)
 
 
+Planners = Mapping[int, Planner]  # by the numbers of the agents
+
+
 def reaches_target(trajectory: Trajectory, target: Float[Array, " n"], radius: float) -> bool:
     """Return True where a trajectory ends at a target state, within a part of the radius."""
     return bool(np.abs(trajectory.x[-1] - target).max() <= FEASIBILITY_TOLERANCE * radius)
@@ -251,9 +255,7 @@ def required_separations(clearance: Float[Array, " others"]) -> Float[Array, " o
     return clearance * (1 + convexify.SEPARATION_TOLERANCE)
 
 
-def is_clear(
-    path: Float[Array, "pieces 4 d"], others: Sequence[TrajectoryMessage], clearance: float
-) -> bool:
+def is_clear(path: ControlPath, others: Sequence[TrajectoryMessage], clearance: float) -> bool:
     """Return True where the path of an agent with a clearance keeps clear of all others."""
     if not others:
         return True
@@ -323,7 +325,7 @@ def minimize_terminal_error(
 def solve_around(
     agent: Planner,
     messages: Sequence[TrajectoryMessage],
-    nominal: Float[Array, "pieces 4 d"],
+    nominal: ControlPath,
     side: convexify.PassingSide,
     relaxation: Relaxation = "none",
 ) -> AvoidanceResult | None:
@@ -368,7 +370,7 @@ def solve_around(
 
 
 def _find_met(
-    path: Float[Array, "pieces 4 d"], obstacles: ObstaclePaths, factor: float = 1.0
+    path: ControlPath, obstacles: ObstaclePaths, factor: float = 1.0
 ) -> Bool[Array, " obstacles"]:
     """Find the obstacles that a path comes nearer to than the clearance, times a factor."""
     wide = obstacles._replace(clearance=factor * obstacles.clearance)

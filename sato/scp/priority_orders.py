@@ -7,7 +7,7 @@ all begin with are tried too, where they are clear. After each order agents floo
 add them up for themselves, and every component keeps the cheapest of its trials.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from sato.network.graph import CommunicationGraph
 from sato.network.rounds import run_round
 from sato.scp.exchange import ConflictResolution, count_trajectories, run_scp
-from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, TrajectoryMessage, is_clear
+from sato.scp.planner import FEASIBILITY_TOLERANCE, Planner, Planners, TrajectoryMessage, is_clear
 
 
 class PriorityCost(NamedTuple):
@@ -27,7 +27,7 @@ class PriorityCost(NamedTuple):
 
 
 def try_priority_orders(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int
+    planners: Planners, graph: CommunicationGraph, orders: int
 ) -> ConflictResolution:
     """Run Method 2 under several orders of priority; each component keeps its cheapest.
 
@@ -92,9 +92,7 @@ def offset_right(agent: Planner, offset: float) -> Planner:
     return agent._replace(control_points=path + bend[..., None] * right, has_converged=False)
 
 
-def select_clear_components(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> dict[int, Planner]:
+def select_clear_components(planners: Planners, graph: CommunicationGraph) -> dict[int, Planner]:
     """Keep the components in which all agents are clear of their neighbors, as they are."""
     messages = {i: agent.message for i, agent in planners.items()}
     marked = run_round(graph, planners, _mark_clear, messages)
@@ -107,7 +105,7 @@ def _mark_clear(agent: Planner, inbox: list[TrajectoryMessage]) -> Planner:
 
 
 def select_components(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, predicate: Callable[[Planner], bool]
+    planners: Planners, graph: CommunicationGraph, predicate: Callable[[Planner], bool]
 ) -> dict[int, Planner]:
     """Keep the components in which a predicate is true of all agents.
 
@@ -117,9 +115,7 @@ def select_components(
     return {i: agent for i, agent in planners.items() if graph.component[i] not in dropped}
 
 
-def component_costs(
-    planners: Mapping[int, Planner], graph: CommunicationGraph
-) -> dict[int, PriorityCost]:
+def component_costs(planners: Planners, graph: CommunicationGraph) -> dict[int, PriorityCost]:
     """Add up the costs of all agents in each agent's component.
 
     The batched equivalent of a flood of `{number: cost}`, added in order of the numbers.

@@ -6,7 +6,7 @@ roundabout none flies straight. All begin offset to one side, and each in its tu
 all neighbors as they last told, also of those whose turn is still to come, until all are clear.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sato.network.rounds import run_round, schedule_turns
 from sato.scp import priority_orders
 from sato.scp.exchange import ConflictResolution, count_solves, count_trajectories
 from sato.scp.negotiation import negotiate
-from sato.scp.planner import Planner, TrajectoryMessage, solve_around
+from sato.scp.planner import Planner, Planners, TrajectoryMessage, solve_around
 
 OFFSETS = (1.0, -1.0, 2.0, -2.0)  # of the nominals in a roundabout, over R: right and left
 MAX_ROUNDS = 8  # in which each agent has a turn; ten through one point take one or two
@@ -25,7 +25,7 @@ RELAXATIONS: tuple[Relaxation, ...] = ("none", "separation")
 
 
 def resolve_conflicts(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, orders: int, sweeps: int
+    planners: Planners, graph: CommunicationGraph, orders: int, sweeps: int
 ) -> ConflictResolution:
     """Try orders of priority and then roundabouts, each followed by negotiation.
 
@@ -70,7 +70,7 @@ def can_use_roundabout(agent: Planner) -> bool:
 
 
 def solve_roundabout(
-    planners: Mapping[int, Planner], graph: CommunicationGraph, offset: float
+    planners: Planners, graph: CommunicationGraph, offset: float
 ) -> ConflictResolution:
     """Solve in turns, all offset to one side, until all are clear and reach their targets.
 

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from problems.obstacle_paths import ObstaclePaths, is_path_clear, segments_clear
+from problems.obstacle_paths import ControlPath, ObstaclePaths, is_path_clear, segments_clear
 from sato.obstacles import polytope_about_ball
 from sato.scp.planner import Planner
 
@@ -75,9 +75,7 @@ def find_route(
     return np.asarray(points[places[::-1]])
 
 
-def follow_route(
-    way: Float[Array, "corners d"], alone: Float[Array, "pieces 4 d"]
-) -> Float[Array, "pieces 4 d"]:
+def follow_route(way: Float[Array, "corners d"], alone: ControlPath) -> ControlPath:
     """Return control points along a way, at the pace of a path that is flown alone."""
     steps = np.linalg.norm(np.diff(alone.reshape(-1, alone.shape[-1]), axis=0), axis=1)
     passed = np.append(0.0, np.cumsum(steps))
