@@ -11,6 +11,8 @@ from numpy import ndarray as Array
 from dynamics.units import Key, Time
 from dynamics.vehicle import VehicleState, rotate_by_yaw
 
+Velocities = Float[Array, "*k 4"]  # in the body frame [m/s], and yaw rates [rad/s]
+
 
 class KinematicVehicle(NamedTuple):
     """ṗ = R_z(ψ) v, ψ̇ = w, where v and w follow their commands [Bernard2023, eq. 1].
@@ -36,11 +38,7 @@ KinematicVehicle.kind = "kinematic"  # type: ignore[attr-defined]  # name in sce
 
 
 def step_kinematic(
-    state: VehicleState,
-    command: Float[Array, "*k 4"],
-    plant: KinematicVehicle,
-    dt: float,
-    noise: Float[Array, "*k 4"],
+    state: VehicleState, command: Velocities, plant: KinematicVehicle, dt: float, noise: Velocities
 ) -> VehicleState:
     """Advance vehicles by a step.
 

@@ -9,11 +9,11 @@ from scipy.optimize import linear_sum_assignment
 
 from dynamics.doors import ANY_NUMBER, checked
 
+Costs = Float[Array, "agents targets"]
+
 
 @checked
-def solve_assignment(
-    cost: Annotated[Float[Array, "agents targets"], ANY_NUMBER],
-) -> Int[Array, " agents"]:
+def solve_assignment(cost: Annotated[Costs, ANY_NUMBER]) -> Int[Array, " agents"]:
     """Assign a different target to every agent at the least total cost [Morgan2016, Problem 2].
 
     This needs all costs at once. No agent of a swarm knows those of the others for certain.
@@ -42,9 +42,7 @@ def solve_assignment(
     return np.asarray(linear_sum_assignment(cost)[1], dtype=np.int64)
 
 
-def least_prices(
-    cost: Float[Array, "agents targets"], target_index: Int[Array, " agents"]
-) -> Float[Array, " targets"]:
+def least_prices(cost: Costs, target_index: Int[Array, " agents"]) -> Float[Array, " targets"]:
     """Compute the least prices at which no agent would rather have another target.
 
     They are the least p ≥ 0 with p_j ≥ p_σ(i) + c_iσ(i) − c_ij for all i and j: lengths of longest

@@ -12,6 +12,7 @@ from dynamics.inputs import InputError
 from problems.transfer import Expression, TransferProblem
 
 States = Float[Array, "instants n"]
+Condensed = tuple[Float[Array, "rows controls"], Float[Array, " rows"]]  # coeffs and rhs
 Rows = Bool[Array, " own_rows"] | Int[Array, " kept"]  # a mask, or numbers of rows
 
 
@@ -50,9 +51,7 @@ class HalfSpaces(NamedTuple):
         on_x = cp.sum(cp.multiply(self.state_coeffs, x[self.step_index]), axis=1)
         return on_x + cp.sum(cp.multiply(self.control_coeffs, u[self.step_index]), axis=1)
 
-    def condense(
-        self, transfer: TransferProblem, free: States
-    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+    def condense(self, transfer: TransferProblem, free: States) -> Condensed:
         """Eliminate the states: coeffs and rhs of −coeffs · u ≤ rhs, given the free motion.
 
         As in `TransferProblem.response_matrices`, u is in units of each axis's share.
@@ -63,9 +62,7 @@ class HalfSpaces(NamedTuple):
         coeffs.reshape(-1, T, m)[rows, step] += self.control_coeffs * transfer.control_limit.shares
         return coeffs, (self.state_coeffs * free[step]).sum(1) - self.rhs
 
-    def condense_breakable(
-        self, transfer: TransferProblem, free: States
-    ) -> tuple[Float[Array, "rows controls"], Float[Array, " rows"]]:
+    def condense_breakable(self, transfer: TransferProblem, free: States) -> Condensed:
         """Condense the rows that some controls within the limit break; most hold for any."""
         coeffs, rhs = self.condense(transfer, free)
         breakable = transfer.control_limit.most * np.abs(coeffs).sum(axis=1) > rhs

@@ -8,6 +8,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from scipy.sparse import block_diag, coo_array, csc_array
 
+Sides = Float[Array, " rows"]  # right-hand sides
+
 
 def stack_diagonally(blocks: Iterable[Array]) -> Any:
     """Return a sparse block-diagonal matrix, with the zeros of the blocks among its entries."""
@@ -23,20 +25,16 @@ class SparseRows(NamedTuple):
     row: Int[Array, " entries"]
     column: Int[Array, " entries"]
     value: Float[Array, " entries"]
-    rhs: Float[Array, " rows"]
+    rhs: Sides
 
     @classmethod
-    def from_dense(
-        cls, rows: Float[Array, "rows columns"], rhs: Float[Array, " rows"]
-    ) -> "SparseRows":
+    def from_dense(cls, rows: Float[Array, "rows columns"], rhs: Sides) -> "SparseRows":
         """Return the rows of an array."""
         row, column = np.nonzero(rows)
         return cls(row, column, rows[row, column], rhs)
 
     @classmethod
-    def from_steps(
-        cls, block: Float[Array, "rows m"], steps: int, rhs: Float[Array, " rows"]
-    ) -> "SparseRows":
+    def from_steps(cls, block: Float[Array, "rows m"], steps: int, rhs: Sides) -> "SparseRows":
         """Return the rows of a block-diagonal matrix: the same block at each step."""
         (height, width), k = block.shape, np.arange(steps)[:, None]
         row, column = np.nonzero(block)
@@ -62,7 +60,7 @@ def stack_with_bounds(
     columns: int,
     cone: int,
     negative: float = 0.0,
-) -> tuple[csc_array, Float[Array, " rows"], tuple[int, int, tuple[int, ...]]]:
+) -> tuple[csc_array, Sides, tuple[int, int, tuple[int, ...]]]:
     """Stack equalities, inequalities, bounds of the unknowns, and cones of so many rows.
 
     The bounds are −negative ≤ x ≤ 1 for the first unknowns, and x ≥ 0 for the others. Returns the
