@@ -192,8 +192,7 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     above = tuple(message for message in inbox if message.priority < agent.priority)
     if agent.in_turn and not all(message.is_final for message in above):
         return agent
-    needs_solve = _is_in_conflict if agent.in_turn else _needs_solve
-    if needs_solve(agent, above):
+    if _needs_solve(agent, above):
         agent = _solve_iteration(agent, above)
     if not (agent.has_converged and all(message.is_final for message in above)):
         return agent
@@ -208,14 +207,11 @@ def update_planner(agent: Planner, inbox: Sequence[TrajectoryMessage]) -> Planne
     return agent._replace(is_final=True, slack=max(agent.slack, lacking))
 
 
-def _is_in_conflict(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
-    # Those above are final: a trajectory that is clear of them can stay.
-    return len(agent.nominal.u) > 0 and not (agent.has_converged and agent.keeps_clear(above))
-
-
 def _needs_solve(agent: Planner, above: tuple[TrajectoryMessage, ...]) -> bool:
     if len(agent.nominal.u) == 0:
         return False
+    if agent.in_turn:  # those above are final: a trajectory that is clear of them can stay
+        return not (agent.has_converged and agent.keeps_clear(above))
     if follows_solo(agent):
         return not agent.keeps_clear(above)
     is_unchanged = len(above) == len(agent.last_inbox) and all(
