@@ -77,9 +77,7 @@ class Model(ABC):
 def _take_symbols(rate: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(rate)
     def take(self: Model, t: Any, x: Any, u: Any) -> Any:
-        if is_symbolic(t, x, u):
-            return trace(rate, self, t, x, u)
-        return rate(self, t, x, u)
+        return trace(rate, self, t, x, u) if is_symbolic(t, x, u) else rate(self, t, x, u)
 
     return take
 

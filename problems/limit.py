@@ -74,9 +74,7 @@ class Limit:
     @cached_property
     def largest_length(self) -> float:
         """Largest Euclidean length of a vector in the set."""
-        if self.norm != "inf":
-            return self.most
-        return self.most * float(np.linalg.norm(self.shares))
+        return self.most if self.norm != "inf" else self.most * float(np.linalg.norm(self.shares))
 
     @cached_property
     def least_length(self) -> float:
