@@ -71,12 +71,8 @@ def solve_burns(
         last = _find_last_burn(β, μ, N)
         is_reachable, is_certified = _verify(β, μ, last, N)
     first = β - last
-    return Burns(
-        sign * np.where(is_late, last, first),
-        sign * np.where(is_late, first, last),
-        is_reachable,
-        is_certified,
-    )
+    at_start, at_end = sign * np.where(is_late, last, first), sign * np.where(is_late, first, last)
+    return Burns(at_start, at_end, is_reachable, is_certified)
 
 
 def _moment(burn: Array) -> Array:

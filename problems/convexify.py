@@ -90,10 +90,8 @@ class AvoidanceHorizon:
         T, S, d, h = self.steps, self.pieces_per_step, self.discrete_model.axes, self.fine_model.dt
         n = 2 * d
         P, Q, r = np.zeros((T, S, 4, d, n)), np.zeros((T, S, 4, d, d)), np.zeros((T, S, 4, d))
-        A, B, c = (
-            part.reshape(T, S, *part.shape[1:])
-            for part in (self.fine_model.A, self.fine_model.B, self.fine_model.z[..., None])
-        )
+        parts = self.fine_model.A, self.fine_model.B, self.fine_model.z[..., None]
+        A, B, c = (part.reshape(T, S, *part.shape[1:]) for part in parts)
         third = np.concatenate([np.eye(d), np.eye(d) * h / 3], axis=1)
         back = np.concatenate([np.eye(d), -np.eye(d) * h / 3], axis=1)
         pick = np.stack([np.eye(d, n), third, back, np.eye(d, n)])

@@ -163,14 +163,10 @@ class DriftHorizon:
         """
         is_now, is_planned = self.step == 0, self.piece < self.steps.steps
         known = is_above[:, None]
-        return (
-            self._find_near(
-                own.drifts - others.path[:, self.piece], ~is_now & (known | ~is_planned), factor
-            ),
-            self._find_near(
-                own.path[self.piece] - others.drifts, is_planned & (known | is_now), factor
-            ),
-        )
+        relative = own.drifts - others.path[:, self.piece]
+        of_drifts = self._find_near(relative, ~is_now & (known | ~is_planned), factor)
+        relative = own.path[self.piece] - others.drifts
+        return of_drifts, self._find_near(relative, is_planned & (known | is_now), factor)
 
     def find_near_paths(self, own: Drifts, paths: Paths) -> Encounters:
         """Find where a vehicle drifts nearer to whole paths than the distance that is kept.
@@ -257,12 +253,8 @@ class DriftHorizon:
             on_u = np.einsum("rsijd,rjdm->rsim", weights, Q[movable])
             rhs += np.einsum("rsim,rm->rsi", on_u, u[step])
         each = on_x.shape[1] * on_x.shape[2]
-        return HalfSpaces(
-            np.repeat(step, each),
-            on_x.reshape(-1, x.shape[-1]),
-            on_u.reshape(-1, u.shape[-1]),
-            rhs.flatten(),
-        )
+        on_x, on_u = (coeffs.reshape(-1, coeffs.shape[-1]) for coeffs in (on_x, on_u))
+        return HalfSpaces(np.repeat(step, each), on_x, on_u, rhs.flatten())
 
 
 def _join(first: Array, last: Array, length: Float[Array, " pieces"], d: int) -> Array:

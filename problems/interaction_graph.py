@@ -131,9 +131,8 @@ def edge_weights(
     across_own, across_other = axis - cosine[..., None] * both
     across_other = rotate_by_yaw(across_other, yaw)
     turn = rate_g[..., None] * across_other - rate_f[..., None] * across_own
-    by_position = (
-        turn / np.where(is_near, d, 1.0)[..., None] - (view * range_slope)[..., None] * own
-    )
+    apart = np.where(is_near, d, 1.0)[..., None]
+    by_position = turn / apart - (view * range_slope)[..., None] * own
     by_yaw = -rate_f * (axis[1] * own[..., 0] - axis[0] * own[..., 1])
     gradients = np.concatenate([by_position, by_yaw[..., None]], axis=-1)
     return EdgeWeights(gamma * view, f, gamma, gradients)

@@ -114,11 +114,8 @@ class JointStopProblem:
 
         Unknowns are changes of the control over a block, in units of its limit.
         """
-        T, free = self.horizon.steps, self.is_free
-        return [
-            v.control_limit.most * _make_blocks(v.steps if is_free else 0, T)
-            for v, is_free in zip(self.vehicles, free.tolist(), strict=True)
-        ]
+        T, each = self.horizon.steps, zip(self.vehicles, self.is_free.tolist(), strict=True)
+        return [v.control_limit.most * _make_blocks(v.steps if free else 0, T) for v, free in each]
 
     @cached_property
     def _first(self) -> Int[Array, " vehicles"]:

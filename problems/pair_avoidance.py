@@ -85,11 +85,8 @@ class PairProblem:
         """Keep some half-spaces, by a mask in the order of `violation`."""
         sizes = [len(member.half_spaces.rhs) for member in self._members]
         first, second, relative = np.split(rows, np.cumsum(sizes))
-        return PairProblem(
-            self.first.select(first),
-            self.second.select(second),
-            self.relative_half_spaces.select(relative),
-        )
+        each = self.first.select(first), self.second.select(second)
+        return PairProblem(*each, self.relative_half_spaces.select(relative))
 
     def solve(self) -> tuple[Trajectory, Trajectory]:
         """Find the trajectories of the least total fuel or energy, weighted as in their transfers.
@@ -123,9 +120,8 @@ class PairProblem:
         """Solve the same problem in CVXPY, as a second opinion."""
         import cvxpy as cp
 
-        (x, u, cost, constraints), (y, v, other_cost, others) = (
-            member.state_cvxpy() for member in self._members
-        )
+        x, u, cost, constraints = self.first.state_cvxpy()
+        y, v, other_cost, others = self.second.state_cvxpy()
         rows = self.relative_half_spaces
         constraints += others
         if len(rows.first.rhs):
@@ -134,20 +130,15 @@ class PairProblem:
         both = (cost + other_cost) / cost_unit(self._members)
         problem = cp.Problem(cp.Minimize(both), constraints)
         solve_cvxpy(self, problem, self.first.solver)
-        first, second = (
-            member.transfer.simulate(
-                member.start, member.transfer.control_limit.cut(controls.value)
-            )
-            for member, controls in zip(self._members, (u, v), strict=True)
-        )
+        each = zip(self._members, (u, v), strict=True)
+        cut = [(own, own.transfer.control_limit.cut(controls.value)) for own, controls in each]
+        first, second = (own.transfer.simulate(own.start, flown) for own, flown in cut)
         return first, second
 
     def _assemble_joint(self, limited: list[Array]) -> ConicProgram:
         """Assemble both programs side by side with the shared rows."""
-        parts = [
-            member.assemble_conic("none", instants)
-            for member, instants in zip(self._members, limited, strict=True)
-        ]
+        each = zip(self._members, limited, strict=True)
+        parts = [member.assemble_conic("none", instants) for member, instants in each]
         blocks, rhs = [], np.zeros(len(self.relative_half_spaces.first.rhs))
         for member, rows in zip(self._members, self.relative_half_spaces, strict=True):
             transfer = member.transfer

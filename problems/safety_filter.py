@@ -103,9 +103,8 @@ class SafetyFilterProblem:
         errors = np.hstack([np.eye(n), -np.eye(n)])
         still = np.hstack([R[T, m:], -R[T, m:], np.zeros((m, 2 * n))])
         equal_rhs = np.concatenate([-free[T, m:], self.wanted - free[k]])
-        zero = SparseRows.from_dense(
-            np.vstack([still, np.hstack([R[k], -R[k], errors])]), equal_rhs
-        )
+        equal = np.vstack([still, np.hstack([R[k], -R[k], errors])])
+        zero = SparseRows.from_dense(equal, equal_rhs)
         coeffs, rhs = self.half_spaces.condense_breakable(transfer, free)
         kinds: tuple[list[SparseRows], list[SparseRows]] = ([], [])
         kinds[0].append(SparseRows.from_dense(-limit.most * coeffs, rhs))

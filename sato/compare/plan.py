@@ -57,12 +57,9 @@ def make_plan(
     _check_names("solver", solvers, known)
     _check_names("family", families, available)
     _check_names("size", sizes, SIZES)
-    chosen = [
-        load_family(name, size)
-        for name in dict.fromkeys(families) or available
-        for size in SIZES
-        if size in (sizes or (SIZES if takes_all else DEFAULT_SIZES))
-    ]
+    wanted = sizes or (SIZES if takes_all else DEFAULT_SIZES)
+    names, asked = dict.fromkeys(families) or available, [size for size in SIZES if size in wanted]
+    chosen = [load_family(name, size) for name in names for size in asked]
     able, exclusions = [], []
     for name in dict.fromkeys(solvers) or known:
         reasons = [refusal(known[name], family) for family in chosen]

@@ -93,9 +93,9 @@ def run_batched(planners: Planners, graph: CommunicationGraph) -> Iterator[dict[
     rank = np.argsort(sorted(range(len(now)), key=lambda k: now[k].priority))
     i, j = graph.pairs_among(np.array(ids))
     lower, upper = np.where(rank[i] > rank[j], (i, j), (j, i))
-    radius = (own[lower] + own[upper]) / 2
+    pairs = lower, upper, (own[lower] + own[upper]) / 2
     paths = np.stack([agent.control_points for agent in now])
-    conflicts = ~are_paths_separated(paths, lower, upper, radius)
+    conflicts = ~are_paths_separated(paths, *pairs)
     final = np.zeros(len(now), dtype=bool)
     has_deviated = np.array([may_have_to_solve(agent) for agent in now])
     meets = np.array([not is_path_clear(agent.control_points, agent.obstacles) for agent in now])
@@ -121,7 +121,5 @@ def run_batched(planners: Planners, graph: CommunicationGraph) -> Iterator[dict[
             has_deviated[k] = may_have_to_solve(after)
             meets[k] = not is_path_clear(after.control_points, after.obstacles)
         changed = moved[lower] | moved[upper]
-        conflicts[changed] = ~are_paths_separated(
-            paths, lower[changed], upper[changed], radius[changed]
-        )
+        conflicts[changed] = ~are_paths_separated(paths, *(part[changed] for part in pairs))
         yield dict(zip(ids, now, strict=True))

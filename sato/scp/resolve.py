@@ -52,21 +52,14 @@ def resolve_conflicts(
             floods += 1
     for trial in trials:
         load = load.plus(trial.load)
-    return ConflictResolution(
-        kept,
-        sum(trial.round_count for trial in trials) + floods * flooding,
-        sum(trial.solve_count for trial in trials),
-        load,
-    )
+    rounds = sum(trial.round_count for trial in trials) + floods * flooding
+    return ConflictResolution(kept, rounds, sum(trial.solve_count for trial in trials), load)
 
 
 def can_use_roundabout(agent: Planner) -> bool:
     """Return True in the plane, without a previous plan, where `solo` reaches the target."""
-    return (
-        agent.control_points.shape[-1] == 2
-        and agent.nominal is agent.solo
-        and agent.reaches_target(agent.solo)
-    )
+    is_planar = agent.control_points.shape[-1] == 2
+    return is_planar and agent.nominal is agent.solo and agent.reaches_target(agent.solo)
 
 
 def solve_roundabout(
