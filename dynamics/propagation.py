@@ -152,7 +152,5 @@ def _validate_initial_states(state: Array, times: Array, forces: Forces) -> None
         raise ValueError(f"times: must increase from 0 or later, got {times}")
     r = np.linalg.norm(state[:, :3], axis=1)
     if len(r) and r.min() <= forces.body_radius:
-        raise ValueError(
-            f"agent {np.argmin(r)} starts inside {find_body(forces.mu).name}, "
-            f"{r.min() / 1e3:.6g} km from its center; states are in meters"
-        )
+        reason = f"agent {np.argmin(r)} starts inside {find_body(forces.mu).name}"
+        raise ValueError(f"{reason}, {r.min() / 1e3:.6g} km from its center; states are in meters")

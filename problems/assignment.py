@@ -29,16 +29,12 @@ def solve_assignment(cost: Annotated[Costs, ANY_NUMBER]) -> Int[Array, " agents"
     """
     agents, targets = cost.shape
     if agents > targets:
-        raise ValueError(
-            f"{agents} agents cannot have a target each of {targets}: "
-            "add targets or leave agents out"
-        )
+        reason = f"{agents} agents cannot have a target each of {targets}"
+        raise ValueError(f"{reason}: add targets or leave agents out")
     if not np.all(np.isfinite(cost)):
         i, j = np.argwhere(~np.isfinite(cost))[0]
-        raise ValueError(
-            f"the cost of target {j} for agent {i} is {cost[i, j]}: "
-            "give an unreachable target a large finite cost"
-        )
+        reason = f"the cost of target {j} for agent {i} is {cost[i, j]}"
+        raise ValueError(f"{reason}: give an unreachable target a large finite cost")
     return np.asarray(linear_sum_assignment(cost)[1], dtype=np.int64)
 
 

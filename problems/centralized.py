@@ -109,10 +109,8 @@ class CentralizedProblem:
                     "the same model, objective and fuel_norm as the transfer"
                 )
         if self.horizon.steps != len(self.transfer.model):
-            raise ValueError(
-                f"the horizon must be as long as the transfer: got {self.horizon.steps} steps "
-                f"and {len(self.transfer.model)}"
-            )
+            reason = f"the horizon must be as long as the transfer: got {self.horizon.steps} steps"
+            raise ValueError(f"{reason} and {len(self.transfer.model)}")
 
     @property
     def array_sizes(self) -> dict[str, Any]:

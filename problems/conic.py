@@ -70,10 +70,8 @@ class ConicProgram:
             object.__setattr__(self, "P", _canonical(self.P))
         rows = [slice(self.linear), *self.soc_rows, *self.psd_rows][-1].stop
         if self.A.shape != (rows, len(self.q)) or len(self.b) != rows:
-            raise ValueError(
-                f"the cones have {rows} rows and the cost {len(self.q)} columns, "
-                f"but A is {self.A.shape} and b has {len(self.b)}"
-            )
+            reason = f"the cones have {rows} rows and the cost {len(self.q)} columns"
+            raise ValueError(f"{reason}, but A is {self.A.shape} and b has {len(self.b)}")
         curvature = np.zeros(0) if self.P is None else self.P.data
         for name, numbers in (("q", self.q), ("A", self.A.data), ("b", self.b), ("P", curvature)):
             if not np.isfinite(numbers).all():
@@ -196,10 +194,8 @@ def _are_equal(one: csc_array | None, two: csc_array | None) -> bool:
 
 def _check_convex(P: csc_array, n: int) -> None:
     if P.shape != (n, n) or tril(P, -1).nnz:
-        raise ValueError(
-            f"P must be an upper triangle, {n} × {n}, got {P.shape} "
-            f"with {tril(P, -1).nnz} entries below the diagonal"
-        )
+        reason = f"P must be an upper triangle, {n} × {n}, got {P.shape}"
+        raise ValueError(f"{reason} with {tril(P, -1).nnz} entries below the diagonal")
     diagonal = P.diagonal()
     if np.count_nonzero(P.data) == np.count_nonzero(diagonal):
         least = float(diagonal.min(initial=0.0))

@@ -100,16 +100,12 @@ class VsdaaAuction:
         agents, targets = cost.shape
         if not np.all(np.isfinite(cost[alive])):
             i, j = next((i, j) for i, j in np.argwhere(~np.isfinite(cost)) if alive[i])
-            raise ValueError(
-                f"the cost of target {j} for agent {i} is {cost[i, j]}: "
-                "give an unreachable target a large finite cost"
-            )
+            reason = f"the cost of target {j} for agent {i} is {cost[i, j]}"
+            raise ValueError(f"{reason}: give an unreachable target a large finite cost")
         wrong = np.flatnonzero(alive & ((target_count < 1) | (target_count > targets)))
         if len(wrong):
-            raise ValueError(
-                f"agent {wrong[0]} bids on {target_count[wrong[0]]} targets: "
-                f"must be from 1 to the {targets} that are defined"
-            )
+            reason = f"agent {wrong[0]} bids on {target_count[wrong[0]]} targets"
+            raise ValueError(f"{reason}: must be from 1 to the {targets} that are defined")
         if self.opening is not None:
             price, first = self.opening
             if price.max(initial=0.0) > 0 or not ((first >= -1) & (first < targets)).all():
@@ -118,10 +114,8 @@ class VsdaaAuction:
         # Prices may climb to agents × the largest cost, and each bid must still be seen there.
         least = 4 * float(np.spacing(agents * np.abs(cost[alive]).max(initial=1e-300)))
         if not least < self.epsilon < np.inf:
-            raise ValueError(
-                f"the bid increment is {self.epsilon}: it must be finite and above {least:.1e}, "
-                "below which prices of this size cannot show it"
-            )
+            reason = f"the bid increment is {self.epsilon}: it must be finite and above {least:.1e}"
+            raise ValueError(f"{reason}, below which prices of this size cannot show it")
 
 
 @checked

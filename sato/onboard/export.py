@@ -59,10 +59,8 @@ def export_c(
     """
     out = Path(out)
     if find_spec("cvxpygen") is None:
-        raise ValueError(
-            "CVXPYgen, which generates the solver in C, is not installed; pip install "
-            "'cvxpygen>=1.0.2,<1.1' would do"
-        )
+        reason = "CVXPYgen, which generates the solver in C, is not installed"
+        raise ValueError(f"{reason}; pip install 'cvxpygen>=1.0.2,<1.1' would do")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ValueError(f"{out}: exists already; --out takes a folder that is new, or empty")
     problem = build_problem(scenario, neighbors, steps)

@@ -28,10 +28,8 @@ def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> On
     # Only the model and the limits matter here, so any random start will do.
     mission = file.draw(np.random.default_rng(0))
     if not isinstance(mission, Reconfiguration):
-        raise ValueError(
-            f"{file.name}: agents of the system {file.system} solve no transfer; a scenario of "
-            "the system reconfiguration would do"
-        )
+        reason = f"{file.name}: agents of the system {file.system} solve no transfer"
+        raise ValueError(f"{reason}; a scenario of the system reconfiguration would do")
     if mission.nonlinear_model is not None or not mission.linear_model.is_time_invariant:
         raise ValueError(
             f"{file.name}: its model changes with time or with the trajectory, and exported code "
