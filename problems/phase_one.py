@@ -29,15 +29,9 @@ def relax_cones(problem: ConicProgram) -> ConicProgram:
     least = csc_array(([-1.0], ([0], [columns])), shape=(1, columns + 1))
     above = hstack([problem.A, -e[:, None]]).tocsr()
     below = hstack([-problem.A[:zero], -e[:zero, None]])
-    return ConicProgram(
-        np.append(np.zeros(columns), 1.0),
-        csc_array(vstack([below, least, above])),
-        np.concatenate([-problem.b[:zero], [0.0], problem.b]),
-        0,
-        zero + 1 + linear,
-        problem.soc_sizes,
-        problem.psd_orders,
-    )
+    q, A = np.append(np.zeros(columns), 1.0), csc_array(vstack([below, least, above]))
+    b = np.concatenate([-problem.b[:zero], [0.0], problem.b])
+    return ConicProgram(q, A, b, 0, zero + 1 + linear, problem.soc_sizes, problem.psd_orders)
 
 
 def read_ray(problem: ConicProgram, duals: Float[Array, " rows"]) -> Float[Array, " m"]:
