@@ -62,9 +62,8 @@ class Sizes:
             if end < many or not _fit_many(shape[many:end], dims[many], sizes):
                 return False
             shape, dims = shape[:many] + shape[end:], dims[:many] + dims[many + 1 :]
-        is_fit = len(shape) == len(dims) and all(
-            _fit_one(size, dim, sizes) for size, dim in zip(shape, dims, strict=True)
-        )
+        pairs = zip(shape, dims, strict=True)
+        is_fit = len(shape) == len(dims) and all(_fit_one(*pair, sizes) for pair in pairs)
         if is_fit:
             self.known = sizes
         return is_fit

@@ -163,10 +163,9 @@ class NonlinearPlant(Plant):
 def validate_propagation(x: Array, u: Array, dt: float, substeps: int, axes: int) -> None:
     """Check the arguments of `Plant.propagate`."""
     if x.ndim != 2 or x.shape[1] != 2 * axes or u.shape != (len(x), axes):
-        raise ValueError(
-            f"agents in {axes} axes have states of shape (agents, {2 * axes}) and accelerations "
-            f"of shape (agents, {axes}), got {x.shape} and {u.shape}"
-        )
+        wanted = f"shape (agents, {2 * axes}) and accelerations of shape (agents, {axes})"
+        got = f"got {x.shape} and {u.shape}"
+        raise ValueError(f"agents in {axes} axes have states of {wanted}, {got}")
     if not 0 < dt <= MAX_TIME or substeps < 1:
         wanted = f"positive and at most {MAX_TIME:.0e} s, with at least one substep"
         got = f"dt = {dt} s and substeps = {substeps}"

@@ -27,10 +27,9 @@ class Impact(RuntimeError):
     def __init__(self, agent: int, time: float, forces: Forces = DEFAULT_FORCES) -> None:
         """Describe the impact of an agent, −1 for the chief, at a time [s]."""
         name = f"agent {agent}" if agent >= 0 else "the chief"
-        super().__init__(
-            f"{name} hits {find_body(forces.mu).name} at t = {time:.6g} s: raise the perigee "
-            f"above {forces.body_radius / 1e3:.0f} km from the center, or end before"
-        )
+        cure = f"above {forces.body_radius / 1e3:.0f} km from the center, or end before"
+        hit = f"{name} hits {find_body(forces.mu).name} at t = {time:.6g} s"
+        super().__init__(f"{hit}: raise the perigee {cure}")
         self.agent = agent
         self.time = time
 

@@ -63,10 +63,8 @@ class GainDesignUndecided(RuntimeError):
     ) -> None:
         self.formation, self.axes, self.rate, self.bound = formation, axes, rate, bound
         where = f"{_format_formation(formation)} {AXES_TEXT[axes]}"
-        super().__init__(
-            f"the method {method} found no stable gains for {where}: their rate is {rate:.1e}, "
-            f"and rates up to {bound:.1e} are not excluded; add edges"
-        )
+        found = f"the method {method} found no stable gains for {where}: their rate is {rate:.1e}"
+        super().__init__(f"{found}, and rates up to {bound:.1e} are not excluded; add edges")
 
 
 @checked

@@ -207,9 +207,8 @@ def _certify(
     along, value, v = λ * b, (λ * b).sum(axis=1), np.abs(λ @ Q)
     bound = value - np.maximum(0, v - w).sum(axis=1)
     cost, residual = np.abs(x) @ w, np.abs(x @ Q.T - b).max(axis=1)
-    is_optimal = (residual <= CERTIFICATE_TOLERANCE * (1 + np.abs(b).max(axis=1))) & (
-        np.abs(cost - bound) <= CERTIFICATE_TOLERANCE * (1 + cost)
-    )
+    is_met = residual <= CERTIFICATE_TOLERANCE * (1 + np.abs(b).max(axis=1))
+    is_optimal = is_met & (np.abs(cost - bound) <= CERTIFICATE_TOLERANCE * (1 + cost))
     size = np.abs(along).sum(axis=1) + v.sum(axis=1)
     is_infeasible = (value - v.sum(axis=1) > 1e-13 * size) & (status == INFEASIBLE)
     return is_infeasible | (is_optimal & (status == OPTIMAL)), is_infeasible

@@ -43,10 +43,9 @@ class OutOfTargets(RuntimeError):
 
     def __init__(self, agent: int, round: int, targets: int) -> None:
         """Keep the agent, the round in which it found out, and the number of targets."""
-        super().__init__(
-            f"agent {agent} found all {targets} targets taken in round {round}: its component "
-            "has more agents than there are targets; define more targets"
-        )
+        found = f"agent {agent} found all {targets} targets taken in round {round}"
+        reason = "its component has more agents than there are targets"
+        super().__init__(f"{found}: {reason}; define more targets")
         self.agent, self.round, self.targets = agent, round, targets
 
 

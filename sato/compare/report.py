@@ -33,10 +33,8 @@ def run_comparison(plan: ComparisonPlan, folder: Path, seed: int) -> list[str]:
     machine, console = describe_machine(plan.solvers), TextConsole(highlight=False)
     if not console.is_terminal:
         console.width = PIPE_WIDTH  # a file or a pipe has no width to which tables must be fitted
-    console.print(
-        f"{machine['processor']}, {machine['cores']} cores, one thread for each solver, "
-        f"Python {machine['python']}"
-    )
+    processor = f"{machine['processor']}, {machine['cores']} cores"
+    console.print(f"{processor}, one thread for each solver, Python {machine['python']}")
     console.print(", ".join(f"{name} {number}" for name, number in machine["versions"].items()))
     for reason in plan.exclusions:
         console.print(f"left out: {reason}")
@@ -111,10 +109,8 @@ def print_comparison(
             console.print(f"  cannot take it: {', '.join(absent)}")
         for line in list_failures(some):
             console.print(f"  {line}")
-    console.print(
-        "Times (of the processor), iterations and the largest error of the cost are of correct "
-        f"answers at {format_tolerance(at)}, from small to large."
-    )
+    shown = "Times (of the processor), iterations and the largest error of the cost"
+    console.print(f"{shown} are of correct answers at {format_tolerance(at)}, from small to large.")
 
 
 def summarize(measurements: Sequence[Measurement], tolerance: float) -> dict[str, str]:

@@ -59,11 +59,9 @@ class Link(Definition):
         if self.outage > 0 and self.round > 0 and self.mean_up_rounds < 1 - 1e-9:
             mean, share = (self.outage_rounds + 1) / 2, self.outage_share
             least = ceil(2 * share / (1 - share) - 1 - 1e-9) * self.round
-            raise InputError(
-                "outage_share",
-                f"{share:g} with outages of {mean:g} rounds leaves less than a round between two; "
-                f"at most {mean / (mean + 1):.3g}, or outage_s = {least:.3g} would do",
-            )
+            reason = f"{share:g} with outages of {mean:g} rounds leaves less than a round between"
+            cure = f"at most {mean / (mean + 1):.3g}, or outage_s = {least:.3g} would do"
+            raise InputError("outage_share", f"{reason} two; {cure}")
 
     @property
     def is_ideal(self) -> bool:

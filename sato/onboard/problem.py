@@ -31,11 +31,10 @@ def build_problem(scenario: str, neighbors: int, steps: int | None = None) -> On
         reason = f"{file.name}: agents of the system {file.system} solve no transfer"
         raise ValueError(f"{reason}; a scenario of the system reconfiguration would do")
     if mission.nonlinear_model is not None or not mission.linear_model.is_time_invariant:
-        raise ValueError(
-            f"{file.name}: its model changes with time or with the trajectory, and exported code "
-            "has constant matrices; of models in orbit, clohessy_wiltshire and "
-            "schweighart_sedwick would do"
-        )
+        changes = "its model changes with time or with the trajectory"
+        cure = "of models in orbit, clohessy_wiltshire and schweighart_sedwick would do"
+        reason = f"{changes}, and exported code has constant matrices"
+        raise ValueError(f"{file.name}: {reason}; {cure}")
     mission.require_equal_vehicles("exported code")
     T = mission.legs[0].steps if steps is None else steps
     model = discretize_zoh(mission.linear_model, mission.step, T)
