@@ -27,6 +27,7 @@ from problems.solvers.verified import solve_program
 from problems.sparse_rows import SparseRows, stack_with_bounds
 from problems.transfer import (
     Solver,
+    State,
     Trajectory,
     TransferProblem,
     compute_energy,
@@ -75,19 +76,15 @@ class AvoidanceProblem:
     """
 
     transfer: TransferProblem
-    start: Float[Array, " n"]
-    goal: Float[Array, " n"]
+    start: State
+    goal: State
     half_spaces: HalfSpaces
     solver: Solver = solve_program
     tolerance: float = 0.0
 
     @classmethod
     def alone(
-        cls,
-        transfer: TransferProblem,
-        start: Float[Array, " n"],
-        goal: Float[Array, " n"],
-        solver: Solver = solve_program,
+        cls, transfer: TransferProblem, start: State, goal: State, solver: Solver = solve_program
     ) -> "AvoidanceProblem":
         """Make the problem of an agent without half-spaces."""
         return cls(transfer, start, goal, empty_half_spaces(transfer), solver)

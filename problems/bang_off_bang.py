@@ -20,6 +20,7 @@ from numpy import ndarray as Array
 from dynamics import DiscreteModel
 from problems.limit import Bound
 
+OnAxes = Float[Array, "*programs m"]  # of displacements, along each axis
 TOLERANCE = 1e-9  # relative, of residuals and gaps
 ROUNDING = 1e-13  # relative, of moments and weights
 UNREACHABLE_MARGIN = 1e-13  # relative, by which a displacement is beyond all controls
@@ -53,10 +54,7 @@ def is_concave(weight: Float[Array, " T"]) -> bool:
 
 
 def solve_burns(
-    position: Float[Array, "*programs m"],
-    velocity: Float[Array, "*programs m"],
-    steps: DiscreteModel,
-    max_control: Bound,
+    position: OnAxes, velocity: OnAxes, steps: DiscreteModel, max_control: Bound
 ) -> Burns:
     """Compute the burns of least fuel on every axis, for displacements from the free motion."""
     N, dt = len(steps), steps.dt

@@ -33,6 +33,7 @@ FULL_BLOCKS, GROWTH = 5, 1.25  # steps with a control of their own; length of ea
 States = Float[Array, "vehicles instants n"]
 Controls = Float[Array, "vehicles T m"]
 Paths = Float[Array, "vehicles pieces 4 d"]  # control points
+Limits = list[tuple[Any, Array]]  # rows, and right-hand sides, of each kind
 Rooms = Float[Array, "rows 4"]  # of the control points of pieces, over the distance
 
 
@@ -193,7 +194,7 @@ class JointStopProblem:
             rows = rows[~np.isin(4 * rows + point[rows], 4 * known[0] + known[1])]
         return rows, point[rows]
 
-    def _limits(self, u: Controls, x: States) -> list[tuple[Any, Array]]:
+    def _limits(self, u: Controls, x: States) -> Limits:
         """Return rows and rhs: rhs − rows · unknowns are zero, nonnegative, or in cones."""
         d, free = self.horizon.discrete_model.axes, np.flatnonzero(self.is_free).tolist()
         eye, found = np.eye(d), list[Any]()
@@ -214,12 +215,7 @@ class JointStopProblem:
         return [(stack_diagonally(rows), np.concatenate(rhs)) for rows, rhs in each_kind]
 
     def _solve(
-        self,
-        u: Controls,
-        near: NearPieces,
-        room: Rooms,
-        rows: tuple[Array, Array],
-        limits: list[tuple[Any, Array]],
+        self, u: Controls, near: NearPieces, room: Rooms, rows: tuple[Array, Array], limits: Limits
     ) -> tuple[Controls, Float[Array, " groups"]]:
         """Solve with some of the half-spaces; the slack of each group of pieces is returned too."""
         at, point = rows

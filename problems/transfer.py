@@ -22,6 +22,7 @@ from problems.limit import LIMIT_TOLERANCE, Bound, Limit, Norm, vector_norm
 from problems.solvers.adapter import ask
 from problems.solvers.verified import solve_program
 
+State = Float[Array, " n"]  # position [m] and velocity [m/s]
 Objective = Literal["fuel", "energy"]
 Solver = Callable[[ConicProgram], ConicSolution]  # raises Infeasible, Unsolved
 
@@ -220,9 +221,7 @@ class TransferProblem:
         if len(self.model) == 0:
             raise ValueError("a transfer needs at least one step")
 
-    def solve(
-        self, start: Float[Array, " n"], target: Float[Array, " n"], solver: Solver = solve_program
-    ) -> Trajectory:
+    def solve(self, start: State, target: State, solver: Solver = solve_program) -> Trajectory:
         """Solve with CVXPY, which is compiled once.
 
         Args:
@@ -248,7 +247,7 @@ class TransferProblem:
         solve_cvxpy(self, problem, solver)
         return self.simulate(start, self.control_limit.cut(u.value))
 
-    def simulate(self, start: Float[Array, " n"], u: Float[Array, "T m"]) -> Trajectory:
+    def simulate(self, start: State, u: Float[Array, "T m"]) -> Trajectory:
         """Simulate the trajectory of given controls.
 
         Args:
@@ -272,9 +271,7 @@ class TransferProblem:
             effort = effort / (self.model.dt * self.control_limit.most**2)  # of the order of 1
         return cp.Problem(cp.Minimize(effort), [*limits, x[len(self.model)] == target]), u
 
-    def build_cvxpy(
-        self, start: Float[Array, " n"] | Expression
-    ) -> tuple[Any, Any, Any, list[Any]]:
+    def build_cvxpy(self, start: State | Expression) -> tuple[Any, Any, Any, list[Any]]:
         """Build variables x and u, cost and constraints in CVXPY, all but the arrival.
 
         Args:

@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 from problems.conic import ConeType, ConicProgram, SolverResult, Status, smat, svec
 from problems.solvers.adapter import LP, SDP, SOCP, SolverAdapter, Vector, make_result
 
+Options = dict[str, Any]
 MODULES = {"highs": "highspy"}  # where the name is another
 STATUSES: dict[str, Status] = {
     "optimal": "solved",
@@ -26,12 +27,7 @@ class _CvxpySession:
     """CVXPY problem that is compiled at its first solve; b is its parameter."""
 
     def __init__(
-        self,
-        solver: str,
-        tolerances: str,
-        fixed: dict[str, Any],
-        problem: ConicProgram,
-        tolerance: float,
+        self, solver: str, tolerances: str, fixed: Options, problem: ConicProgram, tolerance: float
     ) -> None:
         import cvxpy as cp
 
@@ -90,7 +86,7 @@ def _stack_duals(duals: list[Any]) -> Float[Array, " m"]:
 HIGHS_TOLERANCES = "primal_feasibility_tolerance dual_feasibility_tolerance"
 OSQP_TOLERANCES = "eps_abs eps_rel eps_prim_inf eps_dual_inf"
 # Cones, whether rays are passed on, names of the tolerances, and other options.
-SOLVERS: dict[str, tuple[frozenset[ConeType], bool, str, dict[str, Any]]] = {
+SOLVERS: dict[str, tuple[frozenset[ConeType], bool, str, Options]] = {
     "clarabel": (SDP, True, "tol_gap_abs tol_gap_rel tol_feas", {"max_threads": 1}),
     "ecos": (SOCP, False, "abstol reltol feastol", {}),
     "highs": (LP, True, HIGHS_TOLERANCES, {"threads": 1}),

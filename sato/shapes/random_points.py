@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from dynamics.doors import checked
 from sato.scenario.definition import Amount, NotNegative
 
+Box = Sequence[float]  # sides [m]
 Separation = Annotated[float, NotNegative]  # [m]
 MAX_REJECTIONS = 10_000  # successive rejections after which there is taken to be no room
 PACKING_FRACTION = {2: 0.4, 3: 0.25}  # share of a box that points fill while sampling stays quick
@@ -47,11 +48,7 @@ def sample_separated(
 
 @checked
 def sample_positions(
-    count: Amount,
-    box: Sequence[float],
-    separation: Separation,
-    rng: np.random.Generator,
-    axes: int = 0,
+    count: Amount, box: Box, separation: Separation, rng: np.random.Generator, axes: int = 0
 ) -> Float[Array, "count d"]:
     """Draw positions with a least distance in a box of two or three sides from the origin on [m].
 
@@ -78,7 +75,7 @@ def sample_positions(
 
 @checked
 def sample_formation(
-    count: Amount, box: Sequence[float], separation: Separation, rng: np.random.Generator
+    count: Amount, box: Box, separation: Separation, rng: np.random.Generator
 ) -> Float[Array, "count 3"]:
     """Draw points with a least horizontal distance in a box of three sides from the origin on [m].
 
