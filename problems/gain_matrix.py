@@ -1,6 +1,6 @@
 """Formation gains: the matrix, its certificate and its file."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, get_args
@@ -117,14 +117,8 @@ class GainMatrix:
         """
         rate = self._equalized_rate(self.rate_xy, self.rate_z)
         xy, z = rate / self.rate_xy, rate / self.rate_z
-        return replace(
-            self,
-            xy=xy * self.xy,
-            z=z * self.z,
-            method=f"{self.method}, scaled jointly",
-            bound_xy=xy * self.bound_xy,
-            bound_z=z * self.bound_z,
-        )
+        method, bounds = f"{self.method}, scaled jointly", (xy * self.bound_xy, z * self.bound_z)
+        return GainMatrix(self.formation, xy * self.xy, z * self.z, method, *bounds)
 
     def _equalized_rate(self, xy: float, z: float) -> float:
         # Harmonic mean, weighted by the shares of the trace.
