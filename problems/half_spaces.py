@@ -13,6 +13,7 @@ from problems.transfer import Expression, TransferProblem
 
 States = Float[Array, "instants n"]
 Condensed = tuple[Float[Array, "rows controls"], Float[Array, " rows"]]  # coeffs and rhs
+Mask = Bool[Array, " rows"]
 Rows = Bool[Array, " own_rows"] | Int[Array, " kept"]  # a mask, or numbers of rows
 
 
@@ -79,9 +80,7 @@ class HalfSpaces(NamedTuple):
         """Return these rows and those of others."""
         return HalfSpaces(*(np.concatenate(both) for both in zip(self, others, strict=True)))
 
-    def find_peaks(
-        self, violation: Float[Array, " own_rows"], tolerance: float
-    ) -> Bool[Array, " rows"]:
+    def find_peaks(self, violation: Float[Array, " own_rows"], tolerance: float) -> Mask:
         """Find the rows violated most, by more than a tolerance [m], at the steps around theirs."""
         step, worst = self.step_index, self._worst_of_steps(violation, tolerance)
         is_peak = np.zeros(len(worst), dtype=bool)
@@ -89,9 +88,7 @@ class HalfSpaces(NamedTuple):
         is_worst = (violation > tolerance) & (violation >= worst[step + 1])
         return np.asarray(is_worst & is_peak[step + 1])
 
-    def worst_per_step(
-        self, violation: Float[Array, " own_rows"], tolerance: float
-    ) -> Bool[Array, " rows"]:
+    def worst_per_step(self, violation: Float[Array, " own_rows"], tolerance: float) -> Mask:
         """Select the rows that are violated most at each step, by more than a tolerance [m]."""
         worst = self._worst_of_steps(violation, tolerance)[self.step_index + 1]
         return np.asarray((violation > tolerance) & (violation >= worst))
