@@ -83,9 +83,8 @@ class FixedSizeAvoidanceProblem:
         on_control = cp.Parameter((m, len(step)), name="on_control")
         room = cp.Parameter(len(step), name="room")
 
-        kept = cp.sum(cp.multiply(on_state, y[:, step]), axis=0) + cp.sum(
-            cp.multiply(on_control, u[:, step]), axis=0
-        )
+        on_y, on_u = cp.multiply(on_state, y[:, step]), cp.multiply(on_control, u[:, step])
+        kept = cp.sum(on_y, axis=0) + cp.sum(on_u, axis=0)
         limits = [
             y[:, 1:] == A @ y[:, :-1] + B @ u,
             y[:, 0] == 0,
