@@ -11,8 +11,10 @@ from numpy import ndarray as Array
 
 from dynamics.bodies import EARTH_RADIUS, EARTH_ROTATION
 from dynamics.doors import checked
+from dynamics.inputs import InputError
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
+LEAST_ALTITUDE = 10e3  # but 0, below which it is in km [m]
 MAX_HEIGHTS = 100  # of the scale height, within which densities are finite
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
 # [Vallado2013, table 8-4] at which spacecraft stay in orbit.
@@ -54,6 +56,9 @@ class Atmosphere:
             wanted = f"at most {MAX_HEIGHTS} scale_height of {self.scale_height} m"
             got = f"got {self.reference_altitude} m"
             raise ValueError(f"reference_altitude must be {wanted}, {got}")
+        if 0 < abs(self.reference_altitude) < LEAST_ALTITUDE:
+            reason = f"must be 0 m, or {LEAST_ALTITUDE:g} m and more"
+            raise InputError("reference_altitude", f"{reason}, got {self.reference_altitude:g} m")
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":

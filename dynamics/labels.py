@@ -19,6 +19,7 @@ from dynamics.units import SUFFIXES, split_unit
 
 Units = Mapping[str, str]  # unit of each column, by its name in this library
 AXES = ("x", "y", "z")
+EXAMPLES = {"m": "km", "s": "ms"}  # of other units
 STATES: Units = dict.fromkeys(AXES, "m") | {f"v{axis}": "m_s" for axis in AXES}
 ID = "id"  # number of a row, by which rows are sorted
 _BODY = "agent|vehicle|drone|robot|uav|spacecraft|satellite|point|target"
@@ -37,7 +38,7 @@ ROW_DIMENSION = re.compile(
 )
 ROW_IN_TIME = re.compile(f"{ROW_DIMENSION.pattern}|time|instant", re.IGNORECASE)  # of a stick
 OTHER_AXES = re.compile(
-    r"north|east|down|up|lat\w*|lon\w*|alt\w*|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
+    r"(north|east|lat|lon|alt)\w*|down|up|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
 )
 TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
 OTHER_SUFFIX = re.compile("_(ft|feet|inch|inches|yards?|miles?|kn|knots|kts|kmh|mph)$")
@@ -161,8 +162,14 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
             raise InputError("", f'column "{given}" {error}') from error
     is_other = OTHER_AXES.fullmatch(plain.split("_")[0])
     reason = "is of other axes than those of a mission" if is_other else "is not known"
-    known = join_names((ID, *units), "and")
-    raise InputError("", f'column "{given}" {reason}; {known} are read, as x or x_km; leave it out')
+    known = f"{join_names((ID, *units), 'and')} are read, as {example_of(units)}"
+    raise InputError("", f'column "{given}" {reason}; {known}; rename it, or leave it out')
+
+
+def example_of(units: Units) -> str:
+    """Name a column without and with a unit, as an example."""
+    name, unit = next(iter(units.items()))
+    return f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
 
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:

@@ -91,8 +91,8 @@ def long_test_names(longest: int = 70) -> list[str]:
     ]
 
 
-def modules_before_the_loop() -> list[str]:
-    """List the modules whose functions run from the constructor to the loop, for arrays."""
+def modules_of_a_mission() -> tuple[list[str], list[str]]:
+    """List the modules that run from the constructor to the loop, for arrays, and to a frame."""
     row = np.c_[np.arange(4.0), np.zeros((4, 3))]
     model, leg = sato.DoubleIntegrator(2), sato.Leg(row + np.eye(4)[1], steps=20)
     limits = {"step": 1.0, "comm_radius": 20.0, "collision_radius": 0.5, "max_control": 0.2}
@@ -102,22 +102,25 @@ def modules_before_the_loop() -> list[str]:
         next(sato.simulate(mission))
 
     fly()  # imports, which run module and class bodies
-    entered: dict[str, None] = {}
+    entered: dict[str, bool] = {}  # true where the loop had begun
+    has_begun = False
     folders = [str(ROOT / package) for package in PACKAGES]
 
     def note(frame: FrameType, event: str, _: object) -> None:
         code = frame.f_code
         if event == "call" and code.co_filename.startswith(tuple(folders)):
-            entered[str(Path(code.co_filename).relative_to(ROOT))] = None
-            if code.co_qualname == "simulate" and code.co_filename.endswith("/loop.py"):
-                sys.setprofile(None)
+            nonlocal has_begun
+            entered.setdefault(str(Path(code.co_filename).relative_to(ROOT)), has_begun)
+            is_loop = code.co_filename.endswith("/loop.py")
+            has_begun = has_begun or (is_loop and code.co_qualname == "simulate")
 
     sys.setprofile(note)
     try:
         fly()
     finally:
         sys.setprofile(None)
-    return list(entered)
+    after = [module for module, is_after in entered.items() if is_after]
+    return [module for module in entered if module not in after], after
 
 
 def main() -> None:
@@ -130,8 +133,9 @@ def main() -> None:
     print(f"three packages: {sum(lines[package] for package in PACKAGES)} lines of code")
     print(f"docstrings that begin with a word like What: {len(evasive_docstrings())}")
     print(f"public classes that share a name: {len(shared_class_names())}")
-    entered = modules_before_the_loop()
+    entered, after = modules_of_a_mission()
     print(f"modules entered before the loop, for arrays: {len(entered)}: {', '.join(entered)}")
+    print(f"and until the first frame: {len(after)}")
     print(f"test names longer than 70 characters: {len(long_test_names())}")
 
 

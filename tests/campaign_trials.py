@@ -58,6 +58,11 @@ if __name__ == "__main__":
     )
 
 
+def count_agents(agents):
+    """Compute a row without random numbers, which no campaign can call."""
+    return {"count": agents}
+
+
 def toss(rng, sides, fails=False):
     """Compute a row without a run."""
     if fails:

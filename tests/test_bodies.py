@@ -249,6 +249,9 @@ def test_air_whose_altitudes_are_in_kilometers_is_refused():
         sato.PlantSettings(
             drag=True, ballistic=0.01, density=7e-13, altitude=500.0, scale_height=60.0
         )
+    for altitude in (0.4, 400.0, -400.0):
+        with pytest.raises(sato.InputError, match="reference_altitude: must be 0 m, or 10000 m"):
+            Atmosphere(reference_altitude=altitude)
     with pytest.raises(ValueError, match="is inside the Earth, from whose center"):
         Atmosphere().density_at(np.array([100.0, 0.0, 0.0]))
     with pytest.raises(sato.InputError, match=r"ballistic_coefficient: must be .* at least 0"):

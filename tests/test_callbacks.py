@@ -368,6 +368,25 @@ def test_plant_that_remembers_earlier_controls_is_refused(delay, is_reset):
         sato.run(mission(plant=Lag()))
 
 
+@pytest.mark.parametrize(
+    ("steps", "reason"),
+    [(25, "leg.0.steps: agent 0 can reach none of its"), (2500, "model: is so unstable that")],
+)
+def test_unstable_model_is_refused_in_words(steps, reason):
+    class Unstable(sato.LinearModel):
+        axes, is_time_invariant = 2, True
+
+        def A(self, t):
+            return np.block([[np.zeros((2, 2)), np.eye(2)], [0.2 * np.eye(2), np.zeros((2, 2))]])
+
+    with pytest.raises(InputError, match=reason):
+        sato.run(
+            mission(
+                model=Unstable(), legs=[sato.Leg(LINE + np.array([0, 8]), steps)], max_control=0.2
+            )
+        )
+
+
 def test_rows_of_absent_agents_may_be_anything():
     x = np.array([[0.0, 0, 1, 0], [np.nan] * 4])
     found = Wind().propagate(x, np.zeros((2, 2)), 0.0, 1.0)
@@ -536,7 +555,7 @@ def test_a_stick_of_ones_own_is_checked():
 
     steered = sato.read("connectivity", ["run.duration_s=0.2"])
     with pytest.raises(CallbackError, match=r"Bent\.command_velocity: .*\(3,\), got \(2,\)"):
-        sato.run(replace(steered, stick=Bent(start_time=0.0)))
+        sato.run(replace(steered, stick=Bent()))
 
 
 def test_callbacks_drawn_at_random_are_told_or_right(monkeypatch):

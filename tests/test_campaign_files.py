@@ -34,7 +34,7 @@ def test_campaign_has_scenarios_keys_and_functions_that_exist(path, monkeypatch)
 @pytest.mark.parametrize(
     ("name", "scenario", "overrides"),
     [
-        ("judge_connectivity", "connectivity", ["duration_s=0.5"]),
+        ("judge_connectivity", "connectivity", ["duration_s=0.5", "start_s=0"]),
         ("judge_formations", "formation6", ["limit_s=6"]),
         ("judge_transitions", "formation6", ["limit_s=6"]),
     ],

@@ -433,6 +433,10 @@ def test_a_row_of_a_function_beside_the_file_is_computed_again(tmp_path, monkeyp
         ({"keep": "all"}, r"campaign\.function: has no runs"),
         ({"grid": {"side": [6]}}, r"grid\.side: .*toss missing .*; did you mean .sides.\?"),
         ({"grid": {"fails": [True]}}, r"campaign\.function: .*toss missing .* argument: 'sides'"),
+        (
+            {"function": campaign_trials.count_agents, "grid": {"agents": [6]}},
+            r"campaign\.function: .*count_agents begins with agents, and rng comes first",
+        ),
         ({"function": "math:pi"}, r"campaign\.function: \"math:pi\" is no function"),
         (
             {"function": "", "scenario": f"{__name__}:raise_at_once"},

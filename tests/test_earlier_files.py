@@ -17,7 +17,7 @@ from sato.verify import LATER
 SHORT = {
     "crossing": (),
     "formation": ("protocol.limit_s=9",),
-    "connectivity": ("run.duration_s=1", "swarm.agents=3"),
+    "connectivity": ("run.duration_s=1", "start_s=0", "swarm.agents=3"),
 }
 
 

@@ -18,6 +18,7 @@ from problems.conic import Infeasible, SolverResult, solve
 from problems.solvers import SolverAdapter, load_adapters, solve_clarabel, verified
 from problems.solvers.adapter import SDP
 from problems.solvers.verified import VerifiedSolver
+from sato.reconfiguration import feasibility
 from sato.reconfiguration.bidding_rules import compute_epsilon
 from sato.reconfiguration.check.fuel import compute_step_energy
 from sato.reconfiguration.check.promises import check_fuel
@@ -44,7 +45,7 @@ class Careless:
 @pytest.fixture
 def careless(monkeypatch):
     known = load_adapters() | {"careless": SolverAdapter("careless", SDP, True, Careless, "math")}
-    for module in (solvers, verified):
+    for module in (solvers, verified, feasibility):
         monkeypatch.setattr(module, "load_adapters", lambda: known)
 
 

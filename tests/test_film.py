@@ -13,7 +13,7 @@ from sato.scene import list_links
 
 FLIGHTS = {
     "formation6": ["leg=[{formation={kind='library', name='swarm6_3d/Slanted Plane'}}]"],
-    "connectivity": ["run.duration_s=2.0", "obstacles.count=3"],
+    "connectivity": ["run.duration_s=2.0", "start_s=0", "obstacles.count=3"],
     "random3d": ["swarm.agents=8"],
 }
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from problems.desired_formation import DesiredFormation
 from problems.gain_design import design_gains
 from sato.formation.leg import FormationLeg
 from sato.formation.mission import Formation, legacy_formation
@@ -117,6 +118,16 @@ REFUSED = {  # what is wrong: the key, and a value that would do
     listed("[0, 6, 1, 0, 1]"): "leg.0.gains.edges.* 0 to 5",
     listed("[0, 2, 1, 0, 1]"): "leg.0.gains.* do not belong to this formation",
 }
+
+
+def test_gains_of_a_graph_with_fewer_edges_are_refused():
+    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 3.0, 0.0], [0.0, 3.0, 0.0]])
+    graph = np.ones((4, 4), dtype=bool) ^ np.eye(4, dtype=bool)
+    graph[1, 3] = graph[3, 1] = False
+    gains = design_gains(DesiredFormation(points, graph))
+    leg = FormationLeg(points, "complete", gains=gains)
+    with pytest.raises(InputError, match="gains: are of 5 edges, and the formation has 6"):
+        Formation(start=5 * points, legs=[leg]).draw(np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("overrides", REFUSED)

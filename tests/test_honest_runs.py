@@ -19,7 +19,7 @@ SMALL = {
     "random3d": ["agents=5"],
     "random_cw": ["agents=4"],
     "formation6": ["limit_s=3"],
-    "connectivity": ["duration_s=1", "death=[{robot=2, time_s=0.5}]"],
+    "connectivity": ["duration_s=1", "start_s=0", "death=[{robot=2, time_s=0.5}]"],
 }
 
 

@@ -29,7 +29,11 @@ from sato.run_data import Variable
 from sato.runs import Run
 from sato.scene import SwarmScene
 
-SHORT = {"crossing": [], "formation6": ["limit_s=40"], "connectivity": ["duration_s=1"]}
+SHORT = {
+    "crossing": [],
+    "formation6": ["limit_s=40"],
+    "connectivity": ["duration_s=1", "start_s=0"],
+}
 
 
 def promise(kept, kind="record", name="speed"):

@@ -9,7 +9,7 @@ from problems.interaction_graph import algebraic_connectivity, interaction_graph
 from sato.connectivity.obstacles import Obstacles, Plane, obstacle_distances
 from sato.connectivity.power_iteration import spectral_radius
 from sato.connectivity.settings import MAX_MESSAGE_AGE, PowerIterationGains, complete_gains
-from sato.connectivity.stick import RecordedStick
+from sato.connectivity.stick import RecordedStick, WaypointStick
 from sato.network.graph import label_components
 from sato.scenario.definition import errors_in, fields_of
 from sato.scenario.errors import InputError, join_names
@@ -128,7 +128,8 @@ def check_start(mission: "Connectivity") -> None:
     if positions.shape != (agents, 3):
         raise InputError(
             "swarm.start.positions_m",
-            f"needs {agents} rows of 3 coordinates, one for each, got shape {positions.shape}",
+            f"needs {agents} rows of 3 coordinates, one for each, got shape {positions.shape}; "
+            "agents=None would count them",
         )
     if mission.yaw is None or len(mission.yaw) != agents:
         given = "none" if mission.yaw is None else len(mission.yaw)
@@ -189,7 +190,7 @@ def doubts(mission: "Connectivity") -> list[str]:
         turns = f"{rate / 2 / pi:.3g} turns a second; is it in rad/s?"
         found.append(f"limits.turn_rad_s = {rate:g} is {turns}")
     end = f"and the flight ends at {mission.duration:g} s"
-    first_held = getattr(mission.stick, "start_time", 0.0)
+    first_held = mission.stick.start_time if type(mission.stick) is WaypointStick else 0.0
     if first_held >= mission.duration:
         found.append(f"the stick is first held at {first_held:g} s, {end}")
     late = [loss.time for loss in mission.losses if loss.time and loss.time > mission.duration]

@@ -25,8 +25,8 @@ def check_swarm(mission: "Formation") -> None:
         raise InputError("swarm.start.velocities_m_s", "vehicles start at rest; drop it")
     given = mission.start.positions
     if given is not None and len(given) != mission.agents:
-        text = f"lists {len(given)} positions for {mission.agents} agents"
-        raise InputError("swarm.start.positions_m", text)
+        reason = f"lists {len(given)} positions for {mission.agents} agents"
+        raise InputError("swarm.start.positions_m", f"{reason}; agents=None would count them")
 
 
 def memory_demand(mission: "Formation", agents: int) -> float:

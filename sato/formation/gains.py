@@ -67,7 +67,11 @@ class ListedGains(Definition):
         for A in (xy, vertical):
             np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
         with errors_in("gains"):
-            return GainMatrix(formation, xy, vertical, self.method, *self.bounds)
+            gains = GainMatrix(formation, xy, vertical, self.method, *self.bounds)
+            if len(ends.T) < (linked := np.count_nonzero(np.triu(formation.graph))):
+                reason = f"are of {len(ends.T)} edges, and the formation has {linked}"
+                raise InputError("", f'{reason}; gains of its graph, or "auto", would do')
+        return gains
 
 
 @dataclass(frozen=True, eq=False, repr=False)

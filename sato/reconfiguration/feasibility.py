@@ -253,7 +253,7 @@ def _check_legs(mission: "Reconfiguration") -> None:
         raise InputError("swarm.believed", f"{reason}; leave it out")
     known, listed = mission.agents, getattr(mission.start, "positions", None)
     if listed is not None and len(listed) != known:
-        reason = f"lists {len(listed)} positions for {known} agents; none would count them"
+        reason = f"lists {len(listed)} positions for {known} agents; agents=None would count them"
         raise InputError("swarm.start.positions_m", reason)
     for number, (leg, enough) in enumerate(zip(mission.legs, target_demand(mission), strict=True)):
         known += sum(join.size for join in leg.joins)

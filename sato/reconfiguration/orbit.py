@@ -156,25 +156,6 @@ class Chief(Definition):
         radius = found.radius if self.body_radius is None else self.body_radius
         return found._replace(mu=self.mu or EARTH_MU, radius=radius)
 
-    def check_heights(self, position: Float[Array, "k d"], t: float, noun: str) -> None:
-        """Refuse positions at a time that are inside the body.
-
-        Args:
-            position: Positions from the chief [m].
-            t: Time [s].
-            noun: "agent" or "target", for the error.
-
-        Raises:
-            InputError: One is inside the body.
-        """
-        body, (_, _, radius, _) = self.center.name, self.center
-        from_center = position + self.orbit.elements_at(t)[0] * np.eye(position.shape[1])[0]
-        inside = radius - np.linalg.norm(from_center, axis=1)
-        if (inside > 0).any():
-            i = int(np.argmax(inside))
-            below = f"{inside[i] / 1e3:.4g} km below the surface of {body}"
-            raise InputError("", f"{noun} {i} is {below}")
-
     def drift_free_velocities(
         self, position: Float[Array, "k d"], t: float, where: str, times: Sequence[float]
     ) -> Float[Array, "k d"]:

@@ -124,7 +124,11 @@ def check_authority(name: str, model: DiscreteModel) -> None:
 def _count_reached(model: DiscreteModel) -> int:
     """Count the directions of the state that the controls move in all steps."""
     time, n = len(model) * model.dt, model.A.shape[-1]
-    moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = model.respond()[-1] * np.repeat([1.0, time], n // 2)[:, None]
+    if not np.isfinite(moved).all():
+        reason = f"is so unstable that its states are beyond numbers after {len(model)} steps"
+        raise InputError("model", f"{reason}; shorter legs would do")
     sizes = np.linalg.svd(moved, compute_uv=False)
     return int((sizes > LEAST_REACH * sizes.max(initial=0.0)).sum())
 

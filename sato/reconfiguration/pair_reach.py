@@ -25,6 +25,7 @@ INFEASIBLE = 5  # times as long it takes in addition to tell that there is no tr
 SPEED_TIME = 1.5e-7  # of a cubed step, to tell that none keeps a speed limit, at worst [s]
 STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
 ORBIT_TIME = 1e-4  # of a step of a chief on its orbit [s]
+LARGEST_DISPLACEMENT = 1e15  # beyond which a transfer is lost in rounding [m, m/s]
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 
@@ -180,9 +181,15 @@ def _directions(
 def bound_controls(
     departure: Departure, targets: Float[Array, "targets n"], steps: int
 ) -> Float[Array, "2 k targets"]:
-    """Bound the control that each pair takes, without the speed limit, from below and above."""
+    """Bound the control that each pair takes, without the speed limit, from below and above.
+
+    Undecided where the model is so unstable that rounding decides.
+    """
     model, limit = departure.discretize(steps), departure.mission.control_limits[0]
-    b = compute_displacements(model, departure.state, targets)
+    with np.errstate(over="ignore", invalid="ignore"):
+        b = compute_displacements(model, departure.state, targets)
+    if not np.abs(b).max(initial=0.0) < LARGEST_DISPLACEMENT:
+        raise Undecided(is_too_large=False)
     bounds = bound_least_controls(model, b.reshape(-1, b.shape[2]), limit)
     return np.reshape(bounds, (2, *b.shape[:2]))
 

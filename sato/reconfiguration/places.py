@@ -190,8 +190,12 @@ def _with_velocities(
 ) -> Float[Array, "k n"]:
     """Return states, with velocities that stay about these positions where none are given."""
     if mission.chief is not None:
-        with errors_in(where):
-            mission.chief.check_heights(placed, t, noun)
+        radius = mission.chief.orbit.elements_at(t)[0]
+        from_center = np.linalg.norm(placed + radius * np.eye(placed.shape[1])[0], axis=1)
+        depth, body = mission.chief.center.radius - from_center, mission.chief.center.name
+        if (depth > 0).any():
+            below = f"{depth.max() / 1e3:.4g} km below the surface of {body}"
+            raise InputError(where, f"{noun} {depth.argmax()} is {below}")
     if velocity is None:
         velocity = _drift_free_velocities(mission, placed, t, where)
     speed = np.array([one.measure(v) for one, v in zip(limits, velocity, strict=True)])

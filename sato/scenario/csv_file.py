@@ -15,7 +15,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from dynamics.labels import ID, OTHER_AXES, Units, knows_name, match_columns, sort_rows
+from dynamics.labels import (
+    ID,
+    OTHER_AXES,
+    Units,
+    example_of,
+    knows_name,
+    match_columns,
+    sort_rows,
+)
 from dynamics.units import SUFFIXES
 from sato import files
 from sato.scenario.errors import InputError, join_names
@@ -100,7 +108,7 @@ def _read_numbers(
         if len(cells) != width:
             raise ValueError(f"{where}: {width} columns are needed, got {len(cells)}")
         if not all(map(NUMBER.fullmatch, cells)):
-            hint = f"a first line may name the columns, {','.join(units)}, or x_km"
+            hint = f"a first line may name the columns, {','.join(units)}, as {example_of(units)}"
             raise ValueError(f"{where}: not numbers: {', '.join(cells)} ({hint})")
     values = np.array([cells for _, cells in rows]).astype(float)
     return values, np.array([line for line, _ in rows])

@@ -185,6 +185,10 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
         for key in spot.entries:
             parts = spot.address(key).split(".")
             known += [".".join(parts[i:]) for i in range(len(parts))]
+    table, _, key = plain.rpartition(".")
+    if table in known and not any(_ends_with(spot.path, table.split(".")) for spot in spots):
+        cure = f"{table}={{{key} = …}}, with all that it needs, would do"
+        return InputError(address, f"{table} is no table with keys yet; {cure}")
     return InputError(address, unknown_key(plain, known).reason)
 
 
