@@ -14,7 +14,7 @@ from dynamics.doors import checked
 from dynamics.inputs import InputError
 from dynamics.orbit import OrbitStates, Scalars, Vectors
 
-LEAST_ALTITUDE = 10e3  # but 0, below which it is in km [m]
+LEAST_ALTITUDE = 2e3  # of a reference but the ground; fewer meters are kilometers [m]
 MAX_HEIGHTS = 100  # of the scale height, within which densities are finite
 # Altitude [km], density there [kg/m³] and scale height above it [km]: those rows of
 # [Vallado2013, table 8-4] at which spacecraft stay in orbit.
@@ -56,9 +56,10 @@ class Atmosphere:
             wanted = f"at most {MAX_HEIGHTS} scale_height of {self.scale_height} m"
             got = f"got {self.reference_altitude} m"
             raise ValueError(f"reference_altitude must be {wanted}, {got}")
-        if 0 < abs(self.reference_altitude) < LEAST_ALTITUDE:
-            reason = f"must be 0 m, or {LEAST_ALTITUDE:g} m and more"
-            raise InputError("reference_altitude", f"{reason}, got {self.reference_altitude:g} m")
+        if 0 < self.reference_altitude < LEAST_ALTITUDE:
+            given = f"{self.reference_altitude:g}"
+            meant = f"altitudes are in meters: {given} km are {given}e3 m"
+            raise InputError("reference_altitude", f"is {given} m, and air is thin there; {meant}")
 
     @classmethod
     def from_altitude(cls, altitude: float) -> "Atmosphere":

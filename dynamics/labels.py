@@ -168,7 +168,7 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
 
 def example_of(units: Units) -> str:
     """Name a column without and with a unit, as an example."""
-    name, unit = next(iter(units.items()))
+    name, unit = next(iter(units.items()), ("x", "m"))
     return f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
 
 

@@ -126,7 +126,7 @@ class Obstacle(Definition):
         if beyond.max() > 1e-6 * extents.max():
             place = points[beyond.max(axis=1).argmax()]
             told = f"{beyond.max():.3g} m outside of the corners, thickened by {self.thickness:g} m"
-            reason = f"gives for {place.round(3)} what is {told}"
+            reason = f"gives for {place.round(3)} what is {told}; corners that contain it would do"
             raise InputError("", f"{type(self).__name__}.nearest {reason}")
 
 

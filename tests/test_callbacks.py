@@ -370,7 +370,12 @@ def test_plant_that_remembers_earlier_controls_is_refused(delay, is_reset):
 
 @pytest.mark.parametrize(
     ("steps", "reason"),
-    [(25, "leg.0.steps: agent 0 can reach none of its"), (2500, "model: is so unstable that")],
+    [
+        (25, "leg.0.steps: agent 0 can reach none of its"),
+        (80, "model: is so unstable that rounding decides what 80 steps of leg 0 do"),
+        (1500, "model: is so unstable that rounding decides"),
+        (2500, "model: is so unstable that states grow beyond numbers"),
+    ],
 )
 def test_unstable_model_is_refused_in_words(steps, reason):
     class Unstable(sato.LinearModel):

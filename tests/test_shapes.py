@@ -346,7 +346,7 @@ def test_spacing_that_a_refusal_names_would_do(needed):
         (Text, {"text": "\u200b", "spacing": 1.0}, "nothing to draw"),
         (Text, {"text": "U字", "spacing": 1.0}, "no character '字': leave it out"),
         (Text, {"text": "U", "font": "DejaVu Sanz"}, "those that are: DejaVu Sa"),
-        (Text, {"text": "A\nB"}, "has no character '.n': text of one line would do"),
+        (Text, {"text": "A\nB"}, "has no character '.n': leave it out .*; text is one line"),
         (Text, {"text": "U", "font": "No-Such"}, "no font 'No-Such' .* DejaVu"),
         (Text, {"text": "U", "font": "/no/such.ttf"}, "no font file /no/such"),
         (Ring, {"radius": 1.0, "normal": (0, 0, 0)}, "normal must be three finite"),

@@ -229,7 +229,8 @@ class Campaign(Definition):
         with errors_in("campaign.function"):
             signature = inspect.signature(find_function(self.function))
         for trial in self._first_trials():
-            if (first := next(iter(signature.parameters), "")) in trial.parameters:
+            first = next(iter(signature.parameters), "rng")
+            if first != "rng" and first in trial.parameters:
                 reason = f"{self.function} begins with {first}, and rng comes first"
                 raise InputError("campaign.function", f"{reason}: def study(rng, {first}), say")
             try:

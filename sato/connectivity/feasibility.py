@@ -128,8 +128,7 @@ def check_start(mission: "Connectivity") -> None:
     if positions.shape != (agents, 3):
         raise InputError(
             "swarm.start.positions_m",
-            f"needs {agents} rows of 3 coordinates, one for each, got shape {positions.shape}; "
-            "agents=None would count them",
+            f"needs {agents} rows of 3 coordinates, one for each, got shape {positions.shape}",
         )
     if mission.yaw is None or len(mission.yaw) != agents:
         given = "none" if mission.yaw is None else len(mission.yaw)

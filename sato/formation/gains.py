@@ -68,8 +68,11 @@ class ListedGains(Definition):
             np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
         with errors_in("gains"):
             gains = GainMatrix(formation, xy, vertical, self.method, *self.bounds)
-            if len(ends.T) < (linked := np.count_nonzero(np.triu(formation.graph))):
-                reason = f"are of {len(ends.T)} edges, and the formation has {linked}"
+            listed = np.zeros((n, n), dtype=bool)
+            listed[tuple(ends)] = True
+            count, linked = (np.count_nonzero(np.triu(g | g.T)) for g in (listed, formation.graph))
+            if count < linked:
+                reason = f"are of {count} edges, and the formation has {linked}"
                 raise InputError("", f'{reason}; gains of its graph, or "auto", would do')
         return gains
 

@@ -25,7 +25,7 @@ INFEASIBLE = 5  # times as long it takes in addition to tell that there is no tr
 SPEED_TIME = 1.5e-7  # of a cubed step, to tell that none keeps a speed limit, at worst [s]
 STEP_TIME = 4e-4, 1.2e-5  # of a step of a model, that changes with time and that does not [s]
 ORBIT_TIME = 1e-4  # of a step of a chief on its orbit [s]
-LARGEST_DISPLACEMENT = 1e15  # beyond which a transfer is lost in rounding [m, m/s]
+MOST_GROWTH = 1e12  # of a unit state, beyond which transfers are lost in rounding
 MAX_PAIRS = 20_000  # of vehicles and targets that are compared at once
 
 
@@ -35,6 +35,20 @@ class Undecided(Exception):
     def __init__(self, is_too_large: bool) -> None:
         super().__init__()
         self.is_too_large = is_too_large  # for programs of single transfers at all
+
+
+class Unstable(Undecided):
+    """Free motion grows so much that rounding would decide."""
+
+
+def check_growth(departure: Departure, steps: int) -> None:
+    """Raise `Unstable` where the free motion of unit states grows too much in some steps."""
+    model = departure.discretize(steps)
+    with np.errstate(over="ignore", invalid="ignore"):
+        free = model.coast_to_end(np.vstack([np.zeros(2 * model.axes), np.eye(2 * model.axes)]))
+        growth = np.abs(free[1:] - free[0]).max()
+    if not growth < MOST_GROWTH:
+        raise Unstable(is_too_large=False)
 
 
 class Budget:
@@ -181,15 +195,9 @@ def _directions(
 def bound_controls(
     departure: Departure, targets: Float[Array, "targets n"], steps: int
 ) -> Float[Array, "2 k targets"]:
-    """Bound the control that each pair takes, without the speed limit, from below and above.
-
-    Undecided where the model is so unstable that rounding decides.
-    """
+    """Bound the control that each pair takes, without the speed limit, from below and above."""
     model, limit = departure.discretize(steps), departure.mission.control_limits[0]
-    with np.errstate(over="ignore", invalid="ignore"):
-        b = compute_displacements(model, departure.state, targets)
-    if not np.abs(b).max(initial=0.0) < LARGEST_DISPLACEMENT:
-        raise Undecided(is_too_large=False)
+    b = compute_displacements(model, departure.state, targets)
     bounds = bound_least_controls(model, b.reshape(-1, b.shape[2]), limit)
     return np.reshape(bounds, (2, *b.shape[:2]))
 

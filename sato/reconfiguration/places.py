@@ -195,7 +195,8 @@ def _with_velocities(
         depth, body = mission.chief.center.radius - from_center, mission.chief.center.name
         if (depth > 0).any():
             below = f"{depth.max() / 1e3:.4g} km below the surface of {body}"
-            raise InputError(where, f"{noun} {depth.argmax()} is {below}")
+            cure = "a position from the chief, in meters, would do"
+            raise InputError(where, f"{noun} {depth.argmax()} is {below}; {cure}")
     if velocity is None:
         velocity = _drift_free_velocities(mission, placed, t, where)
     speed = np.array([one.measure(v) for one, v in zip(limits, velocity, strict=True)])

@@ -56,6 +56,9 @@ def _check_leg(
     room = 1.0 if number == 0 else room_at_start(departure, steps)
     try:
         fault = find_stranded(departure, targets, steps, room, budget=budget)
+    except pair_reach.Unstable as error:
+        reason = f"is so unstable that rounding decides what {steps} steps of leg {number} do"
+        raise InputError("model", f"{reason}; fewer steps would do") from error
     except pair_reach.Undecided:
         return
     if fault is None:
@@ -181,6 +184,7 @@ def find_stranded(
     budget = budget or pair_reach.Budget(CHECK_TIME)
     is_short, given = steps <= MAX_ENERGY_STEPS, None
     if not pair_reach.are_at_rest(departure, targets):
+        pair_reach.check_growth(departure, steps)
         if is_short and pair_reach.is_surely_reached(departure, targets, steps, factor):
             return None
         given = (bounds or partial(pair_reach.bound_controls, departure, targets))(steps)

@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+import unicodedata
 from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ class Mission(Definition):
         "warnings": Callback("", lambda own, given, value: as_kind(value, list, "a list of text")),
     }
 
-    name: Annotated[Name, In(""), "name of the scenario; of its file if absent"] = "mission"
+    name: Annotated[Name, In(""), "name of the scenario; by that of its file if absent"] = "mission"
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -198,7 +199,8 @@ def load_toml(text: str, source: str) -> dict[str, Any]:
         raise ScenarioError(f"{source}: {error}") from error
     except (ValueError, RecursionError) as error:
         raise ScenarioError(f"{source}: is not TOML: {error}") from error
-    letters = re.sub("[^A-Za-z0-9_.-]+", "_", Path(source).stem).lstrip("_.-")
+    plain = unicodedata.normalize("NFKD", Path(source).stem).encode("ascii", "ignore").decode()
+    letters = re.sub("[^A-Za-z0-9_.-]+", "_", plain).lstrip("_.-")
     data.setdefault("name", letters[:100] or "mission")
     return data
 

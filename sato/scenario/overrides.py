@@ -186,9 +186,12 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
             parts = spot.address(key).split(".")
             known += [".".join(parts[i:]) for i in range(len(parts))]
     table, _, key = plain.rpartition(".")
-    if table in known and not any(_ends_with(spot.path, table.split(".")) for spot in spots):
-        cure = f"{table}={{{key} = …}}, with all that it needs, would do"
-        return InputError(address, f"{table} is no table with keys yet; {cure}")
+    for spot in spots:  # of a table that is not there
+        entry = spot.entries.get(table.rpartition(".")[2])
+        if entry and f".{spot.address(entry.field.key)}".endswith(f".{table}"):
+            if any(find_key(key, layout(kind)[""]) for kind in entry.field.variants):
+                whole = f'{address.rpartition(".")[0]}={{kind = "…"}}, with all of its keys,'
+                return InputError(address, f"{table} is no table yet; {whole} would do")
     return InputError(address, unknown_key(plain, known).reason)
 
 

@@ -197,9 +197,8 @@ def _find_font_file(font: str, text: str) -> str:
         raise ValueError(f"the font file {path} cannot be read: {error}") from error
     if missing := sorted({character for character in text if ord(character) not in known}):
         found = f"the font {font!r} has no character {', '.join(map(repr, missing))}"
-        is_line = all(map(str.isprintable, missing))
-        cure = "leave it out or choose another font" if is_line else "text of one line would do"
-        raise ValueError(f"{found}: {cure}")
+        line = "; text is one line" if "\n" in missing else ""
+        raise ValueError(f"{found}: leave it out or choose another font{line}")
     return path
 
 
