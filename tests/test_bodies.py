@@ -250,7 +250,7 @@ def test_air_whose_altitudes_are_in_kilometers_is_refused():
             drag=True, ballistic=0.01, density=7e-13, altitude=500.0, scale_height=60.0
         )
     for altitude in (0.4, 400.0):
-        with pytest.raises(sato.InputError, match="reference_altitude: .*4.* km are .*4.*e3 m"):
+        with pytest.raises(sato.InputError, match=r"reference_altitude: .*4.* km are .*4.*e3 m"):
             Atmosphere(reference_altitude=altitude)
     assert Atmosphere(1.2, 0.0, 8.5e3) != Atmosphere(0.1, 9e3, 7e3)
     with pytest.raises(ValueError, match="is inside the Earth, from whose center"):
