@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from math import pi
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -30,8 +30,11 @@ class Impact(RuntimeError):
         cure = f"above {forces.body_radius / 1e3:.0f} km from the center, or end before"
         hit = f"{name} hits {find_body(forces.mu).name} at t = {time:.6g} s"
         super().__init__(f"{hit}: raise the perigee {cure}")
-        self.agent = agent
-        self.time = time
+        self.agent, self.time, self.forces = agent, time, forces
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how a copy is made."""
+        return type(self), (self.agent, self.time, self.forces)
 
 
 @checked

@@ -82,6 +82,13 @@ class AvoidanceProblem:
     solver: Solver = solve_program
     tolerance: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Check that half-spaces are of steps that there are."""
+        last, steps = self.half_spaces.step_index.max(initial=-1), len(self.transfer.model)
+        if last >= steps:
+            reason = f"must be less than {steps}, the steps of the transfer, got {last}"
+            raise InputError("half_spaces.step_index", reason)
+
     @classmethod
     def alone(
         cls, transfer: TransferProblem, start: State, goal: State, solver: Solver = solve_program

@@ -8,6 +8,7 @@ normals along the directions to the hulls, Propositions 4 to 6 hold unchanged.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isclose
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -55,6 +56,11 @@ class AvoidanceHorizon:
         if self.scale is not None and len(self.scale) != self.discrete_model.axes:
             count = self.discrete_model.axes
             raise InputError("scale", f"must be a factor for each of {count} axes")
+        steps, pieces = self.discrete_model, self.fine_model
+        is_whole = len(steps) and len(pieces) % len(steps) == 0
+        if not (is_whole and isclose(len(pieces) * pieces.dt, len(steps) * steps.dt)):
+            wanted = f"must divide each of {len(steps)} steps of {steps.dt:g} s into equal pieces"
+            raise InputError("fine_model", f"{wanted}, got {len(pieces)} of {pieces.dt:g} s")
 
     @property
     def array_sizes(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from dynamics import ClohessyWiltshire, DoubleIntegrator, discretize_zoh
 from dynamics.errors import InputError
 from problems.avoidance import AvoidanceProblem
 from problems.conic import Infeasible
+from problems.convexify import AvoidanceHorizon
 from problems.half_spaces import HalfSpaces, empty_half_spaces
 from problems.solvers.verified import VerifiedSolver, solve_program
 from problems.transfer import TransferProblem
@@ -225,3 +226,16 @@ def test_targets_within_reach_at_full_speed_alone_are_reached(speed_norm):
         found = AvoidanceProblem.alone(transfer, start, goal, solver).solve()
         assert not transfer.is_too_fast(found.trajectory.x).any()
         assert found.terminal_error <= 1e-5 * 0.3 * len(plane)
+
+
+def test_half_spaces_beyond_the_horizon_are_refused():
+    beyond = HalfSpaces(np.array([len(plane)]), np.ones((1, 4)), np.zeros((1, 2)), np.ones(1))
+    with pytest.raises(InputError, match=r"half_spaces\.step_index: must be less than"):
+        AvoidanceProblem(TransferProblem(plane, 0.2), np.zeros(4), np.zeros(4), beyond)
+
+
+@pytest.mark.parametrize(("dt", "count"), [(0.5, 12), (0.3, 10), (1.0, 2)])
+def test_pieces_of_another_time_than_the_steps_are_refused(dt, count):
+    steps, pieces = (discretize_zoh(DoubleIntegrator(2), *each) for each in ((1.0, 3), (dt, count)))
+    with pytest.raises(InputError, match="fine_model: must divide each of 3 steps of 1 s"):
+        AvoidanceHorizon(steps, pieces, 0.5)

@@ -1,5 +1,7 @@
 """Propagation of many agents: invariants, accuracy, and known rates."""
 
+import pickle
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -131,3 +133,9 @@ def test_invalid_arguments_are_refused(change, message):
 
 def test_an_empty_swarm_can_be_propagated():
     assert propagate(np.zeros((0, 6)), np.array([0.0, 60.0])).shape == (2, 0, 6)
+
+
+def test_an_impact_survives_a_copy_to_another_process():
+    impact = Impact(3, 12.0)
+    again = pickle.loads(pickle.dumps(impact))
+    assert str(again) == str(impact) and (again.agent, again.time) == (3, 12.0)

@@ -8,6 +8,7 @@ from random_programs import infeasible_program, random_program
 from scipy.linalg import null_space
 from scipy.sparse import csc_array
 
+from dynamics.errors import InputError
 from problems.conic import ConicProgram, verify
 from problems.solvers import SolverAdapter, load_adapters
 from problems.solvers.adapter import LP, accept_all
@@ -101,3 +102,16 @@ def test_unsupported_cones_are_refused(rng):
     problem, _, _ = random_program(rng, "second-order")
     with pytest.raises(ValueError, match=r"highs cannot take second-order cones; .*clarabel.* can"):
         open_session("highs", problem)
+
+
+def test_sessions_refuse_other_right_hand_sides_and_tolerances(rng):
+    problem, _, _ = random_program(rng, "linear")
+    for adapter in load_adapters().values():
+        if adapter.refusal(problem):
+            continue
+        session = adapter.open_session(problem, 1e-8)
+        for b in (problem.b[:-1], np.append(problem.b, 0.0)):
+            with pytest.raises(InputError, match=f"b: must have {len(problem.b)} entries"):
+                session.solve(b)
+        with pytest.raises(InputError, match=r"tolerance: must be .* above 0 and below 1"):
+            adapter.open_session(problem, 1e3)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Annotated, Any, Protocol, cast, get_args, runtime_checkable
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Gt, Lt
 from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse import csc_matrix
@@ -101,7 +101,9 @@ class SolverAdapter:
         reason = call(name, ask, deepcopy(problem)) if is_own(ask) else ask(problem)
         return f"{self.name} {reason}" if reason else ""
 
-    def open_session(self, problem: ConicProgram, tolerance: float) -> SolverSession:
+    def open_session(
+        self, problem: ConicProgram, tolerance: Annotated[float, Gt(0), Lt(1)]
+    ) -> SolverSession:
         """Set the solver up for a program.
 
         Args:
@@ -112,7 +114,15 @@ class SolverAdapter:
             ValueError: The solver is not installed, or does not support the program.
         """
         self.require(problem)
-        return self.session_factory(problem, tolerance)
+        session = self.session_factory(problem, tolerance)
+
+        def solve(b: Vector) -> SolverResult:
+            if np.shape(b) != problem.b.shape:
+                wanted = f"must have {len(problem.b)} entries, as that of the program"
+                raise InputError("b", f"{wanted}, got an array of shape {np.shape(b)}")
+            return session.solve(np.asarray(b, dtype=float))
+
+        return cast(SolverSession, SimpleNamespace(solve=solve))
 
     def require(self, problem: ConicProgram) -> None:
         """Refuse a program that the solver cannot take, or a solver that is not installed."""

@@ -106,7 +106,8 @@ def read(name: str | Path, overrides: Settings = ()) -> Mission:
 
     Args:
         name: A name that `scenarios` lists, or the path of a TOML file.
-        overrides: Each "table.key=value", or a pair of key and value; or a dict of these.
+        overrides: Each "table.key=value", or a pair of key and value; or a dict of these. A table
+            as a value takes the place of the whole table.
 
     Raises:
         ScenarioError: There is no such scenario, or it cannot be flown as it stands.
@@ -254,7 +255,7 @@ def _copied(value: Any, folder: Path | None, key: str = "") -> Any:
         if names := [name for name in value if not isinstance(name, str)]:
             raise InputError(key, f"must have keys of text, got {format_value(names[0])}")
         return {name: _copied(part, folder, name) for name, part in value.items()}
-    if isinstance(value, list):
+    if type(value) in (list, tuple):
         return [_copied(part, folder) for part in value]
     if folder is not None and isinstance(value, str):
         if key == "file" or (key == "font" and value.lower().endswith(FONT_FILES)):
