@@ -121,13 +121,15 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
 def _read_labels(value: Any, unit: str, units: Units | None) -> Any:
     if hasattr(value, "isel"):
         value = _sort_labels(value, ROW_IN_TIME if unit == "m_s" else ROW_DIMENSION)
+    name = getattr(value, "name", None)
+    spelled = _unit_in(name) if isinstance(name, str) else None  # of pandas and xarray
+    if spelled is not None and _find_declared(value) is not None:
+        raise InputError("", "has a unit in its name and in its attrs; drop one")
     if (table := _split_table(value)) is not None:
         is_moving = unit == "m_s" and any("v" in str(name) for name in table[0])
         names = [f"v{axis}" if is_moving else axis for axis in AXES]
         return _stack(*table, units or dict.fromkeys(names, unit))
     numbers, has_unit = _strip(value, unit)
-    name = getattr(value, "name", None)
-    spelled = _unit_in(name) if isinstance(name, str) else None  # of pandas and xarray
     if unit and not has_unit and spelled is not None:
         numbers = np.asarray(numbers) * parse_unit(spelled, unit)
     if has_unit and units is not None and np.shape(numbers)[-1:] > (len(AXES),):

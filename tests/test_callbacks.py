@@ -368,6 +368,26 @@ def test_plant_that_remembers_earlier_controls_is_refused(delay, is_reset):
         sato.run(mission(plant=Lag()))
 
 
+def test_gust_of_a_model_that_says_it_is_time_invariant_is_refused():
+    class Gust(Drag):
+        is_time_invariant = True
+
+        def z(self, t):
+            return np.array([0.0, 0.0, 0.05 * (8 < t < 9), 0.0])
+
+    with pytest.raises(
+        InputError, match=r"Gust.is_time_invariant is True, and z changes with time"
+    ):
+        mission(model=Gust())
+
+
+def test_symbolic_model_of_chance_is_refused():
+    rng = np.random.default_rng(0)
+    model = sato.SymbolicModel(2, lambda t, x, u: casadi.vertcat(x[2:], u + rng.normal(0, 0.01, 2)))
+    with pytest.raises(InputError, match=r"SymbolicModel.expression is another each time"):
+        sato.run(mission(model=model))
+
+
 @pytest.mark.parametrize(
     ("steps", "reason"),
     [

@@ -419,6 +419,13 @@ def test_an_instant_of_a_run_is_the_start_of_the_next():
     assert np.array_equal(start, np.hstack([last["position"], last["velocity"]]))
 
 
+def test_two_units_of_an_array_are_refused():
+    place = xr.DataArray(np.eye(2), dims=("agent", "axis"), attrs={"units": "m"}, name="r [km]")
+    for given in (place, place.assign_coords(axis=["x", "y"])):
+        with pytest.raises(sato.InputError, match="has a unit in its name and in its attrs"):
+            sato.Points(given)
+
+
 def test_headings_of_frames_are_taken_with_their_unit():
     headings = np.radians([10.0, 20.0, 30.0])
     recorded = xr.DataArray(headings, dims="agent", attrs={"units": "rad"})

@@ -93,3 +93,8 @@ def test_recording_that_ends_within_two_steps_is_doubted():
 def test_recording_of_which_most_comes_after_the_flight_is_doubted(times, is_doubted):
     doubts = mission_of(times).draw(np.random.default_rng(0)).warnings()
     assert any("1 of 3 commands; are the times in s?" in text for text in doubts) == is_doubted
+
+
+def test_file_beside_times_is_refused():
+    with pytest.raises(sato.InputError, match="file: has the recording, and times too"):
+        RecordedStick(file="stick.csv", times=[0.0, 1.0], velocities=np.zeros((2, 3)))

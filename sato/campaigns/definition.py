@@ -57,7 +57,7 @@ def _as_function(value: Any) -> str:
 def _as_lists(value: Any) -> dict[str, tuple[Any, ...]]:
     grid = {}
     for key, values in _flatten_tables(value or {}):
-        values = values.tolist() if isinstance(values, Array) else values
+        values = values.tolist() if type(values) is Array else values
         if not isinstance(values, list | tuple | range):
             raise InputError(key, f"must be a list of values, got {format_value(values)}")
         if not values:

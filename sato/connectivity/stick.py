@@ -112,9 +112,12 @@ class RecordedStick(Stick):
 
     def check(self) -> None:
         """Refuse other than one velocity for each of increasing times."""
+        given = [name for name in ("times", "velocities") if getattr(self, name) is not None]
+        if self.file is not None and given:
+            raise InputError("file", f"has the recording, and {given[0]} too; give one of the two")
         if self.file is not None:
             return
-        if self.times is None or self.velocities is None:
+        if len(given) < 2:
             raise InputError("", "needs a file, or times_s and velocities_m_s")
         if len(self.times) != len(self.velocities):
             text = f"has {len(self.times)} times for {len(self.velocities)} velocities"

@@ -216,6 +216,9 @@ def list_doubts(mission: "Reconfiguration") -> list[str]:
     """List doubts about the link of a drawn mission, a sentence each."""
     link, doubts = mission.link, list[str]()
     if link.is_ideal:
+        if mission.compute and not mission.lag_steps:
+            idle = f"plan.compute_s = {mission.compute:g} changes nothing"
+            doubts.append(f"{idle}, for decisions are flown at once")
         return doubts
     if not link.round and (link.late or link.loses_messages):
         doubts.append(

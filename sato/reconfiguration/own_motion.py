@@ -1,5 +1,6 @@
 """Models and plants of the user's own: checked before anything is flown."""
 
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -23,6 +24,7 @@ ROUNDING = 1e-9  # of entries of A, B and z that are fixed, in SI units
 DIFFERENCE = 1e-5  # step of central differences, over the size of an entry or 1
 OFF_START = 1.37e-3  # as DIFFERENCE, from the starts to where a Jacobian is tried
 BETWEEN = np.sqrt([0.013, 0.047, 0.11, 0.19, 0.31, 0.43, 0.57, 0.71, 0.87])  # of a flight
+MOST_INSTANTS = 200  # evenly spaced over a flight, at which matrices are compared
 SAME_MOTION = 1e-6  # relative difference of accelerations, or their matrices
 SAME = 1e-2  # relative difference of a block of the Jacobian that is no fault
 MAX_TRIED = 8  # agents from whose states a Jacobian is tried
@@ -59,8 +61,8 @@ def check_own_motion(model: Any, plant: Any, step: float, steps: int) -> None:
     for key, part in (("model", model), ("plant", inner)):
         if is_own_model(part):
             try:
-                ends = [0.0, step, step * (steps // 2), step * steps]
-                _check_model(part, step, np.unique([*ends, *(step * steps * BETWEEN)]))
+                instants = np.linspace(0.0, step * steps, min(2 * steps, MOST_INSTANTS) + 1)
+                _check_model(part, step, np.unique([step, *instants, *(step * steps * BETWEEN)]))
             except InputError as error:
                 raise error.inside(key) from error
     orbit = plant.chief_orbit if isinstance(plant, Plant) else None
@@ -135,7 +137,13 @@ def _count_reached(model: DiscreteModel) -> int:
 
 def try_motion(model: Any, plant: Any, x: Any, step: float) -> None:
     """Refuse a wrong Jacobian, and a plant that does not repeat itself, of the user's own."""
-    if isinstance(model, NonlinearModel) and is_own(type(model)):
+    if isinstance(model, SymbolicModel):
+        some = x[:MAX_TRIED], np.ones((len(x[:MAX_TRIED]), model.axes))
+        once, other = (part.rate(step / 2, *some) for part in (model, replace(model)))
+        if not np.array_equal(once, other):
+            reason = "is another each time that it is called; an expression without chance would do"
+            raise CallbackError("model", f"SymbolicModel.expression {reason}")
+    elif isinstance(model, NonlinearModel) and is_own(type(model)):
         _check_jacobian(model, x[:MAX_TRIED], step)
     if not (isinstance(plant, Plant) and is_own(type(plant))):
         return
