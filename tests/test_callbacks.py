@@ -375,9 +375,7 @@ def test_gust_of_a_model_that_says_it_is_time_invariant_is_refused():
         def z(self, t):
             return np.array([0.0, 0.0, 0.05 * (8 < t < 9), 0.0])
 
-    with pytest.raises(
-        InputError, match=r"Gust.is_time_invariant is True, and z changes"
-    ):
+    with pytest.raises(InputError, match=r"Gust.is_time_invariant is True, and z changes"):
         mission(model=Gust())
 
 
