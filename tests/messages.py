@@ -9,7 +9,7 @@ import numpy as np
 
 from sato.auctions.bidder import VsdaaBidder, WinningBids
 from sato.auctions.vsdaa import Opening
-from sato.network.flooding import Census, CensusMessage, census_rounds
+from sato.network.flooding import Census, CensusMessage
 from sato.network.rounds import run_round
 from sato.scp.planner import update_planner
 
@@ -52,11 +52,7 @@ def learn_diameter(graph):
     """Run the measurement of each agent's component: yield every live agent after every round."""
     live = np.flatnonzero(graph.alive).tolist()
     states = {i: Census(CensusMessage(frozenset([Hello(i)]))) for i in live}
-
-    def knows_diameter(census):
-        return census.eccentricity >= 0 and census.round >= census_rounds(census.eccentricity)
-
-    return run_rounds(graph, states, Census.update, lambda s: s.message, knows_diameter)
+    return run_rounds(graph, states, Census.update, lambda s: s.message, lambda s: s.knows_diameter)
 
 
 def plan_by_messages(planners, graph):

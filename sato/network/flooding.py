@@ -52,10 +52,14 @@ class Census(NamedTuple):
         return Census(CensusMessage(reports, largest), self.round + 1, eccentricity)
 
     @property
+    def knows_diameter(self) -> bool:
+        """True once the largest eccentricity that it knows is the diameter."""
+        return self.eccentricity >= 0 and self.round >= census_rounds(self.eccentricity)
+
+    @property
     def is_finished(self) -> bool:
         """True once all agents of the component know the diameter; in the same round for all."""
-        largest = self.message.max_eccentricity  # its own at least, once it knows that
-        return self.eccentricity >= 0 and self.round >= census_rounds(largest)
+        return self.knows_diameter and self.round >= census_rounds(self.message.max_eccentricity)
 
 
 def census_rounds(diameter: Any) -> Any:
