@@ -18,8 +18,9 @@ from sato.atomic import is_held
 from sato.processes.codec import encode
 from sato.processes.envelope import MAX_SIZE, OVERHEAD, VERSION, WORLD, Envelopes
 from sato.processes.fleet import Fleet, VehicleError
+from sato.processes.lock_step import LockStep
 from sato.processes.membership import KEY_FILE, Incarnation, create_key, read_key
-from sato.processes.messages import Status
+from sato.processes.messages import Measured, Reply, Status
 from sato.processes.network import Connection, load_zenoh
 from sato.processes.reports import check_status
 from sato.processes.vehicle import open_packet
@@ -239,3 +240,13 @@ def test_packets_in_the_name_of_another_vehicle_are_refused():
         open_packet(1, packet)
     with pytest.raises(ValueError, match="vehicle 1 sends a packet in the name of float"):
         open_packet(1, encode(1.0))
+
+
+@pytest.mark.parametrize("sent", [1, Reply(6, None, None), Reply(8, None, None), ()])
+def test_what_answers_no_call_ends_a_flight_in_lock_step(sent):
+    fleet = SimpleNamespace(send=lambda *_: None, receive=lambda: (0, sent), take_gone=list)
+    world = SimpleNamespace(live=[0], alive=[True], leg_index=0, lose=list)
+    relay = SimpleNamespace(take=lambda number: ())
+    flight = SimpleNamespace(fleet=fleet, world=world, _relay=relay, _serial=6)
+    with pytest.raises(VehicleError, match="vehicle 0 sends what is no answer to the last call"):
+        LockStep._call(flight, {0: Measured(0, np.zeros(4), ())}, begins=True)

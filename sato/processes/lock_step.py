@@ -109,10 +109,11 @@ class LockStep:
         replies: dict[int, Reply] = {}
         while replies.keys() != set(self.world.live):
             received = self.fleet.receive()
-            if received is not None and isinstance(received[1], Reply):
+            if received is not None and self.world.alive[received[0]]:
                 number, reply = received
-                if reply.serial == self._serial and self.world.alive[number]:
-                    replies[number] = reply
+                if not isinstance(reply, Reply) or reply.serial != self._serial:
+                    raise VehicleError(f"vehicle {number} sends what is no answer to the last call")
+                replies[number] = reply
             gone = self.fleet.take_gone()
             self.world.lose(gone)
             replies = {i: reply for i, reply in replies.items() if i not in gone}
