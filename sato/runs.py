@@ -132,12 +132,11 @@ class Run:
                 raise
             return Report((), {}, failure=f"{type(error).__name__}: {error}")
 
-    @property
+    @cached_property
     def summary(self) -> dict[str, Any]:
         """Entries of `summary.json`, recomputed by `report`; never those that a file claims.
 
-        Each time in a dict of its own. Without the mission, entries that need it are claimed ones,
-        but for success and verdict.
+        Without the mission, entries that need it are claimed ones, but for success and verdict.
         """
         first = record.initial_summary(self.recorded.attrs)
         claimed = self.claimed if self.mission is None else {}
