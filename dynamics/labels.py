@@ -42,6 +42,7 @@ OTHER_AXES = re.compile(
 )
 TABLES = "names", "column_names", "colnames", "columns"  # of a dtype, pyarrow, astropy, polars
 OTHER_SUFFIX = re.compile("_(ft|feet|inch|inches|yards?|miles?|kn|knots|kts|kmh|mph)$")
+TWO_UNITS = "has a unit in its name and in its attrs; drop one"
 VALUES = "its values in the order of this library"
 WORDS = {"meter": "m", "metre": "m", "kilometer": "km", "kilometre": "km", "second": "s"}
 
@@ -124,7 +125,7 @@ def _read_labels(value: Any, unit: str, units: Units | None) -> Any:
     name = getattr(value, "name", None)
     spelled = _unit_in(name) if isinstance(name, str) else None  # of pandas and xarray
     if spelled is not None and _find_declared(value) is not None:
-        raise InputError("", "has a unit in its name and in its attrs; drop one")
+        raise InputError("", TWO_UNITS)
     if (table := _split_table(value)) is not None:
         is_moving = unit == "m_s" and any("v" in str(name) for name in table[0])
         names = [f"v{axis}" if is_moving else axis for axis in AXES]
@@ -263,7 +264,7 @@ def _stack(names: list[Any], columns: list[Any], units: Units) -> Array:
             numbers, has_unit = _strip(columns[place], units.get(name, ""))
             array = as_array(numbers, np.ndim(numbers))
             if factor is not None and _find_declared(columns[place]) is not None:
-                raise InputError("", "has a unit in its name and in its attrs; drop one")
+                raise InputError("", TWO_UNITS)
         except InputError as error:
             raise InputError("", f'column "{names[place]}" {error}') from error
         read[name] = array * (1.0 if factor is None or has_unit else factor)

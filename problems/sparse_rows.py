@@ -70,9 +70,11 @@ def stack_with_bounds(
     floor[:count] = negative
     upper = SparseRows(every[:count], every[:count], np.ones(count), np.ones(count))
     parts = [zero, *linear, upper, SparseRows(every, every, -np.ones(columns), floor), *cones]
-    row, column, value, rhs = map(np.concatenate, zip(*parts, strict=True))
-    first = np.cumsum([0, *(len(part.rhs) for part in parts[:-1])])
-    row += np.repeat(first, [len(part.row) for part in parts])
+    first = np.cumsum([0, *(len(part.rhs) for part in parts)])
+    row = np.concatenate([part.row + begin for part, begin in zip(parts, first, strict=False)])
+    column = np.concatenate([part.column for part in parts])
+    value = np.concatenate([part.value for part in parts])
+    rhs = np.concatenate([part.rhs for part in parts])
     A = csc_array((value, (row, column)), shape=(len(rhs), columns))
     equal, last = len(zero.rhs), sum(len(part.rhs) for part in cones)
     return A, rhs, (equal, len(rhs) - equal - last, (cone,) * (last // cone))

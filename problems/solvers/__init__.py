@@ -8,9 +8,18 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from problems.conic import ConicProgram
-from problems.solvers.adapter import SolverAdapter as SolverAdapter
-from problems.solvers.clarabel import solve_clarabel as solve_clarabel
-from problems.solvers.highs import solve_highs as solve_highs
+from problems.solvers.adapter import SolverAdapter
+from problems.solvers.clarabel import solve_clarabel
+from problems.solvers.highs import solve_highs
+
+__all__ = [
+    "DEFAULT_SOLVER",
+    "SolverAdapter",
+    "list_able",
+    "load_adapters",
+    "solve_clarabel",
+    "solve_highs",
+]
 
 DEFAULT_SOLVER = "clarabel"  # of conic programs
 

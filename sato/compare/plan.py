@@ -58,8 +58,8 @@ def make_plan(
     _check_names("family", families, available)
     _check_names("size", sizes, SIZES)
     wanted = sizes or (SIZES if takes_all else DEFAULT_SIZES)
-    names, asked = dict.fromkeys(families) or available, [size for size in SIZES if size in wanted]
-    chosen = [load_family(name, size) for name in names for size in asked]
+    names = dict.fromkeys(families) or available
+    chosen = [load_family(name, size) for name in names for size in SIZES if size in wanted]
     able, exclusions = [], []
     for name in dict.fromkeys(solvers) or known:
         reasons = [refusal(known[name], family) for family in chosen]

@@ -68,11 +68,10 @@ class ListedGains(Definition):
             np.fill_diagonal(A, A.diagonal() - A.sum(axis=1))
         with errors_in("gains"):
             gains = GainMatrix(formation, xy, vertical, self.method, *self.bounds)
-            listed = np.zeros((n, n), dtype=bool)
-            listed[tuple(ends)] = True
-            count, linked = (np.count_nonzero(np.triu(g | g.T)) for g in (listed, formation.graph))
-            if count < linked:
-                reason = f"are of {count} edges, and the formation has {linked}"
+            pairs = set(map(frozenset, ends.T.tolist()))
+            linked = np.count_nonzero(formation.graph) // 2
+            if len(pairs) < linked:
+                reason = f"are of {len(pairs)} edges, and the formation has {linked}"
                 raise InputError("", f'{reason}; gains of its graph, or "auto", would do')
         return gains
 

@@ -59,9 +59,10 @@ class Link(Definition):
         if self.outage > 0 and self.round > 0 and self.mean_up_rounds < 1 - 1e-9:
             mean, share = (self.outage_rounds + 1) / 2, self.outage_share
             least = ceil(2 * share / (1 - share) - 1 - 1e-9) * self.round
-            reason = f"{share:g} with outages of {mean:g} rounds leaves less than a round between"
+            outages = f"outages of {mean:g} rounds"
+            reason = f"{share:g} with {outages} leaves less than a round between two"
             cure = f"at most {mean / (mean + 1):.3g}, or outage_s = {least:.3g} would do"
-            raise InputError("outage_share", f"{reason} two; {cure}")
+            raise InputError("outage_share", f"{reason}; {cure}")
 
     @property
     def is_ideal(self) -> bool:

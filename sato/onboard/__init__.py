@@ -1,3 +1,5 @@
 """Onboard code: C that solves one agent's transfer, generated from a scenario."""
 
-from sato.onboard.export import export_c as export_c
+from sato.onboard.export import export_c
+
+__all__ = ["export_c"]
