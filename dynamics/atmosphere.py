@@ -13,6 +13,7 @@ from dynamics.bodies import EARTH_RADIUS, EARTH_ROTATION
 from dynamics.doors import checked
 from dynamics.inputs import InputError
 from dynamics.orbit import OrbitStates, Scalars, Vectors
+from dynamics.units import AngularRate, Length, Unit
 
 LEAST_ALTITUDE = 2e3  # of a reference but the ground; fewer meters are kilometers [m]
 MAX_HEIGHTS = 100  # of the scale height, within which densities are finite
@@ -45,10 +46,10 @@ class Atmosphere:
     real density varies by a factor of several in both directions.
     """
 
-    reference_density: Annotated[float, Ge(0)] = 6.967e-13  # ρ₀ [kg/m³]
-    reference_altitude: float = 500e3  # h₀ [m]
-    scale_height: Annotated[float, Ge(1e3)] = 63.822e3  # H [m]
-    rotation_rate: float = EARTH_ROTATION  # about the Earth's axis [rad/s]
+    reference_density: Annotated[float, Unit("kg_m3"), Ge(0)] = 6.967e-13  # ρ₀ [kg/m³]
+    reference_altitude: Length = 500e3  # h₀ [m]
+    scale_height: Annotated[Length, Ge(1e3)] = 63.822e3  # H [m]
+    rotation_rate: AngularRate = EARTH_ROTATION  # about the Earth's axis [rad/s]
 
     def __post_init__(self) -> None:
         """Check that densities are finite."""
@@ -62,7 +63,7 @@ class Atmosphere:
             raise InputError("reference_altitude", f"is {given} m, and air is thin there; {meant}")
 
     @classmethod
-    def from_altitude(cls, altitude: float) -> "Atmosphere":
+    def from_altitude(cls, altitude: Length) -> "Atmosphere":
         """Take the row of [Vallado2013, table 8-4] for an altitude [m], from 150 km on."""
         below = [row for row in DENSITY_TABLE if row[0] * 1e3 <= altitude]
         if not below:

@@ -412,8 +412,8 @@ def describe(value: Any) -> str:
         for place in np.argwhere(~np.isfinite(value)).tolist():
             return f"{text} with {value[tuple(place)]} at {place}"
         return text
-    if isinstance(value, np.generic | Array):
-        return describe(value.item())
+    if (item := _as_item(value)) is not value:
+        return describe(item)
     if isinstance(value, list | tuple) and value:
         with suppress(InputError):
             return describe(read_array(value))

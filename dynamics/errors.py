@@ -38,6 +38,8 @@ def format_value(value: object) -> str:
     """Write a value as TOML does, cut short where it is long."""
     if isinstance(value, bool):
         return str(value).lower()
+    if value is None:
+        return "None"
     if isinstance(value, str):
         value = value if value[:40].isprintable() else repr(value[:40])[1:-1] + value[40:41]
         return f'"{value}"' if len(value) <= 40 else f'"{value[:40]}…"'
@@ -46,7 +48,10 @@ def format_value(value: object) -> str:
     if isinstance(value, list | tuple):
         return "a list"
     if isinstance(value, float):
-        return f"{value:.1f}" if value.is_integer() and abs(value) < 1e6 else f"{value:.6g}"
+        if value.is_integer():
+            return f"{value:.1f}" if abs(value) < 1e6 else f"{value:.6g}"
+        text = f"{value:.6g}"
+        return repr(value) if float(text).is_integer() else text
     if isinstance(value, int) and abs(value) >= 10**30:
         return "an integer of more than 30 digits"
     return str(value) if isinstance(value, int) else f"an object of type {type(value).__name__}"

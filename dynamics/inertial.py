@@ -6,6 +6,7 @@ other.
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
@@ -20,9 +21,11 @@ from dynamics.model import Controls, States
 from dynamics.orbit import MAX_TIME, Orbit
 from dynamics.plant import Plant, Samples, is_present, validate_propagation
 from dynamics.propagation import integrate_orbits
+from dynamics.units import Unit
 
 CHECKPOINT_INTERVAL = 60.0  # the chief's state is cached at multiples of this [s]
 FIRST_STEP = 60.0  # first step to try, small enough for low orbits [s]
+AREA_PER_MASS = Unit("m2_kg")
 RTOL = 1e-13  # of a step, for the chief's state and for offsets from it, and in addition
 OFFSET_ATOL = np.repeat([1e-10, 1e-13], 3)  # for offsets [m, m/s]
 
@@ -48,8 +51,8 @@ class InertialPlant(Plant):
     """
 
     chief_orbit: Orbit = field()  # required: without this, the default of `Plant` would hold
-    ballistic_coefficient: float | Float[Array, " agents"] | None = None
-    chief_ballistic_coefficient: float | None = None
+    ballistic_coefficient: Annotated[float | Float[Array, " agents"] | None, AREA_PER_MASS] = None
+    chief_ballistic_coefficient: Annotated[float | None, AREA_PER_MASS] = None
     atmosphere: Atmosphere | None = None
 
     def __post_init__(self) -> None:

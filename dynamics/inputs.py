@@ -3,6 +3,8 @@
 All doors of the library use these: definitions of missions, public functions, callbacks.
 """
 
+from datetime import date
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -79,8 +81,21 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     except Exception as error:  # whatever the methods of an object raise that is no array
         raise InputError("", f"must be an array, got {format_value(value)}") from error
     if array.dtype.kind not in kinds and array.size:
-        raise InputError("", f"must be an array of {wanted}, got dtype {array.dtype}")
+        raise InputError("", f"must be an array of {wanted}, got {_name_entries(value, array)}")
     return array
+
+
+def _name_entries(value: Any, array: Array) -> str:
+    """Say of what an array of another kind than wanted is, and what would do instead."""
+    if hasattr(value, "toarray"):  # of SciPy
+        return "a sparse matrix; its toarray() would do"
+    entries = [entry for entry in array.flat if type(entry) not in PLAIN]
+    if array.dtype.kind == "M" or any(isinstance(entry, date) for entry in entries):
+        return "dates; seconds since the first of them would do"
+    if array.dtype.kind != "O" or not entries:
+        return f"dtype {array.dtype}"
+    cure = "; float(...) of it would do" if isinstance(entries[0], Number) else ""
+    return f"{format_value(entries[0])}{' in it' if array.ndim else ''}{cure}"
 
 
 def check_finite(array: Array) -> None:

@@ -185,7 +185,7 @@ def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
     if (row := _as_row(value)) is not None:
         return list(row), list(row.values())
     if hasattr(value, "isel"):  # of xarray
-        named = [dim for dim in value.dims if _is_text(value[dim])]
+        named = _text_axes(value)
         labels = value[named[0]].values.tolist() if named else []
         return (labels, [value.isel({named[0]: i}) for i in range(len(labels))]) if named else None
     if hasattr(value, "iloc") and hasattr(value, "index"):  # of pandas
@@ -206,6 +206,12 @@ def _as_row(value: Any) -> dict[Any, Any] | None:
 
 def _is_text(labels: Any) -> bool:
     return any(isinstance(label, str | tuple) for label in np.asarray(labels).tolist())
+
+
+def _text_axes(value: Any) -> list[Any]:
+    """Return the dimensions of an array of xarray whose labels name axes, and not rows."""
+    names = [dim for dim in value.dims if not ROW_DIMENSION.fullmatch(str(dim))]
+    return [dim for dim in names if _is_text(value[dim])]
 
 
 def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:
@@ -240,11 +246,15 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
     if repeated := [dim for dim in numbered if len(np.unique(value[dim])) < value.sizes[dim]]:
         raise InputError("", f'has labels of "{repeated[0]}" that are repeated')
     value = value.sortby(numbered) if numbered else value
+    for dim in set(value.dims) & set(value.coords) - set(_text_axes(value)):
+        if not _is_in_order(value.indexes[dim]):
+            reason = f'has labels of "{dim}" out of order'
+            raise InputError("", f'{reason}; drop_vars("{dim}") keeps this order')
     is_dataset = isinstance(value, Mapping)
     if len(value.dims) < 2 and not is_dataset:
         return value
     axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
-    axes = axes or [dim for dim in value.dims if _is_text(value[dim]) and not is_dataset]
+    axes = axes or ([] if is_dataset else _text_axes(value))
     is_plain = all(str(dim).startswith("dim_") for dim in value.dims)
     rows = [str(dim) for dim in value.dims if dim not in axes]
     is_known = len(axes) + is_dataset == len(rows) == 1 and all(map(rows_known.fullmatch, rows))

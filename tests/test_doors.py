@@ -9,6 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pytest
+import scipy.sparse
 from annotated_types import Ge, Gt
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -54,6 +55,7 @@ ODD = (object(), object, lambda: 0, (i for i in range(3)), {}, b"1", "1", "x" * 
         ("x", X + 1j, "dtype complex128"),
         ("x", X > 0, "dtype bool"),
         ("x", [[HUGE, 0]], "dtype object"),
+        ("x", scipy.sparse.csr_array(X), r"a sparse matrix; its toarray\(\) would do"),
         ("x", [[1e200, 0]], "between 1e-30 and 1e[+]30"),
         ("x", np.ma.masked_array(X), "masked"),
         ("x", [[0.0], [0.0, 1.0]], "rows of one length"),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.units import cm, kg, km
 from numpy.testing import assert_allclose, assert_array_equal
 from orbit_examples import random_orbit
 
@@ -149,6 +150,13 @@ def test_one_ballistic_coefficient_is_that_of_all_agents(rng):
     all_alike = InertialPlant(CIRCLE, 0.01, 0.02, air).propagate(x, u, 0.0, 60.0)
     each = InertialPlant(CIRCLE, np.full(3, 0.01), 0.02, air).propagate(x, u, 0.0, 60.0)
     assert_array_equal(all_alike, each)
+
+
+def test_quantities_of_drag_are_converted(rng):
+    x, u, ballistic = relative_states(rng, 3), np.zeros((3, 3)), 100.0 * cm**2 / kg
+    given = InertialPlant(CIRCLE, ballistic, ballistic, Atmosphere.from_altitude(500 * km))
+    plain = InertialPlant(CIRCLE, 0.01, 0.01, Atmosphere.from_altitude(500e3))
+    assert_allclose(given.propagate(x, u, 0.0, 60.0), plain.propagate(x, u, 0.0, 60.0), rtol=1e-14)
 
 
 def test_times_before_0_are_refused():

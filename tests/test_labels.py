@@ -6,7 +6,8 @@ import subprocess
 import sys
 from collections import namedtuple
 from dataclasses import replace
-from datetime import timedelta
+from datetime import date, timedelta
+from decimal import Decimal
 from pathlib import Path
 
 import astropy.units as u
@@ -162,6 +163,12 @@ def test_recorded_sticks_and_graphs_are_read_by_their_names(tmp_path):
             read_graph(file, 3)
 
 
+@pytest.mark.parametrize("days", [pd.date_range("2030", periods=2), [date(2030, 1, 1)] * 2])
+def test_dates_of_a_recording_are_refused_with_what_would_do(days):
+    with pytest.raises(sato.InputError, match=r"times_s: .* seconds since the first of them"):
+        RecordedStick(times=days, velocities=np.zeros((2, 3)))
+
+
 @pytest.mark.parametrize(
     ("text", "edges"),
     [
@@ -268,6 +275,11 @@ def test_tables_are_read_by_their_names(table):
         (pd.DataFrame(SQUARE, columns=["n", "e"]), 'column "n" is of other axes'),
         (pd.DataFrame(SQUARE).iloc[[2, 0, 1]], "index out of order"),
         (pd.DataFrame(SQUARE, [f"agent{i}" for i in (1, 0, 2, 3)], ["x", "y"]), "out of order"),
+        (
+            xr.DataArray(SQUARE, {"robot": ["r2", "r1", "r3", "r4"], "axis": ["x", "y"]}),
+            'labels of "robot" out of order; drop_vars',
+        ),
+        ([[Decimal(1), Decimal(2)]], r"got an object of type Decimal in it; float\(...\) of it"),
         (pd.DataFrame(SQUARE, columns=["x", "y"]).astype(str), 'column "x" must be'),
         (pd.DataFrame({"x": [1, pd.NaT], "y": [1, 2]}), 'column "x" must be'),
         (xr.DataArray(SQUARE, dims=("a", "b")), "has dimensions a and b"),

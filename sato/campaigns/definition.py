@@ -203,7 +203,12 @@ class Campaign(Definition):
 
     def check_keys(self) -> None:
         """Refuse functions that are not there, and unknown keys, of which the nearest is named."""
-        self.to_json()  # refuses values that no table holds
+        tables = {"grid": self.grid} | {f"case.{name}": case for name, case in self.case.items()}
+        for place, table in tables.items():
+            for key, value in table.items():
+                with errors_in(place), errors_in(key):
+                    _to_json(value)  # refuses what no table holds
+        self.to_json()
         add_modules(self.modules)
         if self.columns:
             with errors_in("campaign.columns"):
@@ -354,6 +359,8 @@ def _to_json(value: Any) -> str:
             return tomllib.loads(part.to_toml())
         if isinstance(part, Array | np.generic):
             return part.tolist()
-        raise InputError("", f"no table holds {part!r}; numbers, texts, lists and tables would do")
+        raise InputError(
+            "", f"no file holds {format_value(part)}; numbers, texts, lists and tables would do"
+        )
 
     return json.dumps(value, default=default)

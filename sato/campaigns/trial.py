@@ -202,8 +202,9 @@ def more_columns(function: str, flown: Any) -> Outcome:
     """Apply a function to a run; a fault in it becomes a column, and the run stands."""
     try:
         return cast(Outcome, call(function, find_function(function), flown, check=_as_columns))
-    except (Exception, SystemExit):  # whatever a function of the user's raises
-        return {"columns_error": last_lines()}
+    except (Exception, SystemExit) as error:  # whatever a function of the user's raises
+        is_refused = isinstance(error, CallbackError) and error.__cause__ is None
+        return {"columns_error": str(error) if is_refused else last_lines()}
 
 
 def _check_source(source: Any) -> Any:
