@@ -137,6 +137,7 @@ class Run:
         """Entries of `summary.json`, recomputed by `report`; never those that a file claims.
 
         Without the mission, entries that need it are claimed ones, but for success and verdict.
+        What a caller writes into it is saved with the run, and is no more than a claim there.
         """
         first = record.initial_summary(self.recorded.attrs)
         claimed = self.claimed if self.mission is None else {}
