@@ -40,7 +40,8 @@ class CircularOrbitModel(LinearModel):
 
     Let w² = 4a² − b. Without control, D = ẏ + 2ax is constant, and the in-plane motion is
     an ellipse with semi-axes in the ratio w : 2a, traversed at the rate w, about a center
-    that drifts along the orbit at −(b/w²) D. The orbit is closed if and only if D = 0.
+    that drifts along the orbit at −(b/w²) D. The orbit is closed in the plane if and
+    only if D = 0, and as a whole where q = w too, as for Clohessy–Wiltshire.
     """
 
     axes: int = 3
@@ -79,7 +80,7 @@ class CircularOrbitModel(LinearModel):
         return np.block([[np.zeros((3, 3)), np.eye(3)], [K, C]])
 
     def bounded_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
-        """Return the velocity of a closed orbit through a position [m/s].
+        """Return the velocity of an orbit that is closed in the plane through a position [m/s].
 
         ẏ = −2ax cancels the along-track drift; ẋ = ż = 0.
 
@@ -92,7 +93,7 @@ class CircularOrbitModel(LinearModel):
         return velocity
 
     def centered_velocity(self, position: Vectors, t: float = 0.0) -> Vectors:
-        """Return the velocity of a closed orbit that is centered on the chief [m/s].
+        """Return the velocity of an orbit closed in the plane and centered on the chief [m/s].
 
         ẋ = w²y / 2a and ẏ = −2ax put the center of the ellipse at the chief; ż = 0.
 

@@ -18,6 +18,7 @@ from dynamics.orbit import Orbit, Scalars, Vectors, lvlh_rates
 from dynamics.symbols import Numbers
 
 X_AXIS = np.array([1.0, 0.0, 0.0])
+SLOW_NODES = 5e-5  # along-track drift of other inclinations in an orbit, as a part of z
 MIN_COS_LATITUDE = 0.02  # of the argument of latitude, for positions with z ≠ 0
 
 
@@ -124,6 +125,10 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
         ż = (v_x/r − ω_z tan θ) z  no difference in inclination, so that nodes drift alike
         ẏ                          the energy of the chief, J2 included
 
+    Where nodes hardly drift apart, 8π k_J2 sin i / μr² < 5e-5 (near the equator: below 0.08° at
+    500 km, 3.1° in geostationary orbit), ż = v_x z/r instead: |z| is then largest at this
+    position, and no latitude is refused.
+
     [Morgan2012] removes the drift of the linear equations, of the nonlinear ones and of J2
     one after the other; here the exact energy removes all three at once. About a circular
     chief an along-track drift of a few centimeters an orbit is left at a distance of a
@@ -135,15 +140,17 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
         t: Time at that position [s].
 
     Raises:
-        ValueError: A position has z ≠ 0 while the chief is near |θ| = 90°, where no velocity gives
-            equal inclinations, or is so far away that none gives equal energies.
+        ValueError: A position has z ≠ 0 while the chief is near |θ| = 90° on an inclined orbit,
+            where no velocity gives equal inclinations, or is too far away for equal energies.
     """
     chief = orbit.elements_at(t)
-    r, v_x, h, _, _, theta = chief
+    r, v_x, h, _, inclination, theta = chief
+    drift = 8 * np.pi * orbit.k_J2 * np.sin(inclination) / (orbit.mu * r**2)
+    slope = np.tan(theta) if drift > SLOW_NODES else 0.0
     x, y, z = np.moveaxis(position, -1, 0)
     rates = lvlh_rates(chief, orbit.k_J2)
     out_of_plane = np.abs(z) > 1e-9 * r
-    if out_of_plane.any() and abs(np.cos(theta)) < MIN_COS_LATITUDE:
+    if slope and out_of_plane.any() and abs(np.cos(theta)) < MIN_COS_LATITUDE:
         raise ValueError(
             f"the chief is at argument of latitude {np.degrees(theta) % 360:.4g}°, and within "
             f"{np.degrees(np.arcsin(MIN_COS_LATITUDE)):.2g}° of 90° and 270° no orbit through a "
@@ -151,7 +158,7 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
         )
     v = np.zeros(position.shape)
     v[..., 0] = rates.omega_z * y / 2
-    v[..., 2] = np.where(out_of_plane, (v_x / r - rates.omega_z * np.tan(theta)) * z, 0.0)
+    v[..., 2] = np.where(out_of_plane, (v_x / r - rates.omega_z * slope) * z, 0.0)
     pole, center = _body_axis(chief), r * X_AXIS
     energy = (v_x**2 + (h / r) ** 2) / 2 + _potential(center, pole, orbit)
     speed2 = 2 * (energy - _potential(position + center, pole, orbit))

@@ -105,3 +105,12 @@ def test_goals_out_of_reach_are_infeasible():
     transfer = TransferProblem(model, U, objective="energy")
     with pytest.raises(Infeasible):
         AvoidanceProblem.alone(transfer, np.zeros(4), np.array([30.0, 0, 0, 0])).solve()
+
+
+@pytest.mark.parametrize("steps", [4, 10, 40])
+def test_least_energy_from_rest_to_rest_is_the_squared_distance(rng, steps):
+    goals = np.hstack([rng.normal(0, 5, (6, 2)), np.zeros((6, 2))])
+    model = discretize_zoh(DoubleIntegrator(2), 0.5, steps)
+    energy = compute_energies(model, np.zeros((1, 4)), goals)[0]
+    squares = (goals**2).sum(axis=1) / (1 - 1 / steps**2)
+    assert_allclose(energy * (0.5 * steps) ** 3 / 12, squares, rtol=1e-9)

@@ -149,6 +149,16 @@ def test_invariant_velocities_give_equal_inclinations(e, latitude):
     assert abs(to_polar_nodal(deputy)[4] - orbit.inclination) * orbit.r < 0.5
 
 
+@pytest.mark.parametrize(("radius", "tilt"), [(6878e3, 0.001), (42164e3, pi - 0.05)])
+def test_near_the_equator_no_latitude_has_large_velocities(radius, tilt):
+    top = Orbit.from_elements(radius, inclination=tilt, true_anomaly=pi / 2)
+    place = np.array([[200.0, -300.0, 700.0]])
+    assert drift(top, place, 15) <= 0.1
+    x = np.hstack([place, invariant_velocity(top, place)])
+    path = propagate_relative(top, x, np.linspace(0, 5 * top.period, 100))
+    assert np.abs(path[..., 2]).max() <= 700.0 * (1 + 1e-6)
+
+
 def test_out_of_plane_positions_at_latitude_90_are_refused():
     top = Orbit.from_elements(6878e3, inclination=pi / 4, true_anomaly=pi / 2)
     with pytest.raises(ValueError, match=r"latitude 90°.*in the plane \(z = 0\)"):

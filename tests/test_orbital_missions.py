@@ -6,9 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from orbit_examples import transition_matrix
 from scipy.spatial.distance import pdist
 
+import sato
 from dynamics import ClohessyWiltshire, LinearizedModel, discretize_zoh
 from dynamics.atmosphere import Atmosphere
 from dynamics.circular_orbit import SchweighartSedwick
@@ -125,6 +127,24 @@ def test_velocities_are_the_same_for_every_model():
     for other in missions[1:]:
         np.testing.assert_array_equal(other.initial_states, missions[0].initial_states)
         np.testing.assert_array_equal(other.legs[0].targets, missions[0].legs[0].targets)
+
+
+def test_models_without_a_chief_have_the_velocities_of_their_equations():
+    orbit = sato.Orbit.from_elements(7e6, 0.05, 0.7, true_anomaly=0.4)
+    place, goal = np.array([[100.0, 0.0, 30.0]]), np.array([[0.0, 300.0, 0.0]])
+    for make in (sato.TschaunerHempel, sato.SchweighartSedwick.from_orbit):
+        mission = sato.Reconfiguration(
+            model=(model := make(orbit)),
+            start=place,
+            legs=[sato.Leg(goal, 40)],
+            step=20.0,
+            comm_radius=1000.0,
+            collision_radius=3.0,
+            max_control=0.1,
+            max_speed=5.0,
+        ).draw(np.random.default_rng(0))
+        assert_array_equal(mission.start.velocities, model.bounded_velocity(place))
+        assert_array_equal(mission.legs[0].targets[:, 3:], model.bounded_velocity(goal, 800.0))
 
 
 def test_velocities_are_those_of_the_time_of_join_or_arrival():

@@ -422,6 +422,7 @@ def test_more_components_than_possible_are_refused():
     start = "start={kind='random',box_m=3,separation_m=0.8,min_components=3}"
     assert "none of 200 draws in a box of 3 m has 3 components" in refusal(start)
     assert "asks for 1" in refusal(f"{start[:-1]},connected=true}}")
+    assert "is 3, and there are 2 agents; 2 or less would do" in refusal(start, "agents=2")
 
 
 @given(st.floats(1e-6, 1e6))

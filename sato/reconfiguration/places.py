@@ -8,7 +8,8 @@ import scipy
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from dynamics.circular_orbit import ClohessyWiltshire
+from dynamics.circular_orbit import CircularOrbitModel
+from dynamics.tschauner_hempel import TschaunerHempel
 from problems.convexify import SEPARATION_TOLERANCE
 from problems.limit import Limit
 from sato.reconfiguration.allowed_places import check_starts, place_targets
@@ -217,12 +218,13 @@ def _with_velocities(
 def _drift_free_velocities(
     mission: Reconfiguration, placed: Float[Array, "k d"], t: float, where: str
 ) -> Float[Array, "k d"]:
-    model = mission.model
-    if isinstance(model, OrbitalModel) and model.mean_motion is not None:
-        return ClohessyWiltshire(model.mean_motion).bounded_velocity(placed)
-    if mission.chief is None:
-        return np.zeros_like(placed)
-    return mission.chief.drift_free_velocities(placed, t, where, _velocity_times(mission))
+    model, chief = mission.linear_model, mission.chief
+    has_mean_motion = isinstance(mission.model, OrbitalModel) and bool(mission.model.mean_motion)
+    if chief is not None and not has_mean_motion:
+        return chief.drift_free_velocities(placed, t, where, _velocity_times(mission))
+    if isinstance(model, CircularOrbitModel | TschaunerHempel):
+        return model.bounded_velocity(placed, t)
+    return np.zeros_like(placed)
 
 
 def _velocity_times(mission: Reconfiguration) -> list[float]:

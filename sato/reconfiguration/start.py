@@ -67,6 +67,9 @@ class Random(Definition):
         if self.separation < least:
             reason = f"{self.separation:g} is less than the collision radius"
             raise InputError("separation_m", f"{reason}; {least:g} or more would do")
+        if (self.min_components or 0) > count:
+            reason = f"is {self.min_components}, and there are {count} agents"
+            raise InputError("min_components", f"{reason}; {count} or less would do")
         if self.depth is not None and (axes == 2 or self.box is None):
             missing = "a model in space" if axes == 2 else "a box_m for its other sides"
             raise InputError("depth_m", f"needs {missing}")

@@ -68,9 +68,10 @@ class Text(Shape):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Polygon(Shape):
-    """An area with corners, the first targets; its last corner is joined to the first.
+    """An area with corners; its last corner is joined to the first.
 
-    It stays where its vertices are unless a center is given, and as large unless a spacing or a
+    Each target is far from those before it, so that many of the first ones are corners. The area
+    stays where its vertices are unless a center is given, and as large unless a spacing or a
     height is.
     """
 
