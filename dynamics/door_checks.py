@@ -207,6 +207,8 @@ def make_check(hint: Any, numbers: NumberRule = FINITE) -> Check:
         return _check_literal(parts)
     if hint in (float, int):
         return _check_number(hint, numbers)
+    if kind is collections.abc.Callable:
+        return _check_function(parts[-1] if parts else None)
     if kind in PLAIN:
         return _simple(*PLAIN[kind])
     if origin in (tuple, list, collections.abc.Sequence, collections.abc.Iterable):
@@ -268,11 +270,24 @@ def _is_path(value: Any) -> bool:
     return False
 
 
+def _is_late(function: Any) -> bool:
+    """Tell whether a function runs no line when it is called, as it yields or is async."""
+    called = function if inspect.isroutine(function) else type(function).__call__
+    return inspect.isgeneratorfunction(called) or inspect.iscoroutinefunction(called)
+
+
+def _check_function(returned: Any) -> Check:
+    """Make the check of a function by the annotation of what it returns."""
+    if get_origin(returned) is collections.abc.Iterator:
+        return _simple("a function", lambda value: value if callable(value) else None)
+    wanted = "a function that returns, without yield or async"
+    return _simple(wanted, lambda v: v if callable(v) and not _is_late(v) else None)
+
+
 PLAIN: dict[Any, tuple[str, Callable[[Any], Any]]] = {
     bool: ("True or False", lambda v: bool(v) if isinstance(v, bool | np.bool_) else None),
     str: ("text", lambda v: str(v) if isinstance(v, str) else None),
     Path: ("a path", lambda v: v if _is_path(v) else None),
-    collections.abc.Callable: ("a function", lambda v: v if callable(v) else None),
 }
 
 

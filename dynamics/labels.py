@@ -88,7 +88,8 @@ def parse_unit(text: str, unit: str) -> float:
     quantity = SUFFIXES[unit].quantity if unit else ""
     if suffix not in SUFFIXES or SUFFIXES[suffix].quantity != quantity:
         known = [one.symbol for one in SUFFIXES.values() if one.quantity == quantity]
-        raise InputError("", f'has the unit "{text}"; {join_names(known)} would do')
+        cure = join_names(known) if unit else "numbers without a unit in their labels or attrs"
+        raise InputError("", f'has the unit "{text}"; {cure} would do')
     return SUFFIXES[suffix].factor
 
 
@@ -169,10 +170,50 @@ def _parse_name(given: Any, index: int, units: Units) -> tuple[str, float | None
     raise InputError("", f'column "{given}" {reason}; {known}; rename it, or leave it out')
 
 
+def check_vehicle_labels(value: Any) -> None:
+    """Refuse numbers of vehicles that have names, or the dimension of anything else."""
+    names = list(map(str, _as_row(value) or ()))
+    if hasattr(value, "isel"):
+        names = [str(dim) for dim in value.dims if not ROW_DIMENSION.fullmatch(str(dim))]
+    if names:
+        reason = f"is a number or one a vehicle, and has the labels {join_names(names, 'and')}"
+        raise InputError("", f"{reason}; a list would do, or for axes an argument of axes")
+
+
+def check_axis_labels(value: Any) -> None:
+    """Refuse numbers of axes that have the dimension of vehicles."""
+    dims = [str(dim) for dim in value.dims] if hasattr(value, "isel") else []
+    if any(re.fullmatch(rf"(?:{_BODY})s?", dim, re.IGNORECASE) for dim in dims):
+        raise InputError("", f'has the dimension {dims[0]}, and an entry an axis; "axis" would do')
+
+
+def check_pair_labels(matrix: Any, rows: Any) -> None:
+    """Refuse a matrix whose labels are in another order than those of the rows that it pairs.
+
+    Labels are those of pandas or xarray; rows without labels have any in order.
+    """
+    given = _labels_of(matrix)
+    known = _labels_of(rows)[:1] or [axis for axis in given[:1] if _is_in_order(axis)]
+    wanted = [axis.tolist() if _is_text(axis) else sorted(axis.tolist()) for axis in known]
+    if any(axis.tolist() not in wanted for axis in given):
+        cure = "a table with labels in the order of the points would do"
+        raise InputError("", f"has rows or columns labeled in another order; {cure}")
+
+
+def _labels_of(value: Any) -> list[Any]:
+    """Return the labels of rows, and of columns, but for those that count from 0."""
+    if hasattr(value, "iloc"):
+        axes = [value.index, *([value.columns] if hasattr(value, "columns") else [])]
+    else:
+        dims = [dim for dim in getattr(value, "dims", ()) if dim in value.coords]
+        axes = [value.indexes[dim] for dim in dims]
+    return [axis for axis in axes if axis.tolist() != list(range(len(axis)))]
+
+
 def example_of(units: Units) -> str:
     """Name a column without and with a unit, as an example."""
     name, unit = next(iter(units.items()), ("x", "m"))
-    return f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
+    return f"{name}" if not unit else f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
 
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
@@ -262,7 +303,8 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
         dims = join_names(map(str, value.dims), "and")
         cure = '"agent" or "row"' if is_dataset else '"agent" or "row", and "axis",'
         if len(value.dims) > 2:
-            cure = "an instant of it, as value.isel(time=-1)," if "time" in value.dims else VALUES
+            is_run = "time" in value.dims
+            cure = f"an instant of it, as value.isel(time=-1), or {VALUES}" if is_run else VALUES
         raise InputError("", f"has dimensions {dims}; {cure} would do")
     return value.transpose(..., *axes)
 

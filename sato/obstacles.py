@@ -118,16 +118,23 @@ class Obstacle(Definition):
             self._check_nearest(corners)
 
     def _check_nearest(self, corners: Float[Array, "corners d"]) -> None:
-        """Refuse nearest points that are outside of the corners and the thickness."""
+        """Refuse nearest points outside of the corners and the thickness, or not the nearest."""
         directions = spread_directions(self.axes, SPHERE_CORNERS)
         extents = (corners @ directions.T).max(axis=0) + self.thickness
         points = self.place + 3 * extents.max() * directions
-        beyond = (self.nearest(points) - self.place) @ directions.T - extents
+        nearest = self.nearest(points)
+        beyond = (nearest - self.place) @ directions.T - extents
         if beyond.max() > 1e-6 * extents.max():
             place = points[beyond.max(axis=1).argmax()]
             told = f"{beyond.max():.3g} m outside of the corners, thickened by {self.thickness:g} m"
             reason = f"gives for {place.round(3)} what is {told}; corners that contain it would do"
             raise InputError("", f"{type(self).__name__}.nearest {reason}")
+        away = np.linalg.norm(points[:, None] - nearest, axis=2)  # from points that are given too
+        farther = away.diagonal() - away.min(axis=1)
+        if farther.max() > 1e-6 * extents.max():
+            place, name = points[farther.argmax()].round(3), f"{type(self).__name__}.nearest"
+            reason = f"gives for {place} a point that is {farther.max():.3g} m farther than another"
+            raise InputError("", f"{name} {reason} that it gives; the nearest would do")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

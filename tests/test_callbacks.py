@@ -540,6 +540,18 @@ def test_a_watcher_that_raises_is_told_and_the_flight_goes_on():
     assert np.array_equal(states(run), states(sato.run(mission())))
 
 
+def test_a_watcher_that_yields_or_is_async_is_refused():
+    def watch(mission, frame):
+        yield frame
+
+    async def wait(mission, frame):
+        return frame
+
+    for late in (watch, wait):
+        with pytest.raises(sato.InputError, match="a function that returns, without yield or asy"):
+            sato.run(mission(), progress=late)
+
+
 @pytest.mark.parametrize("scenario", [mission(), "formation6", "connectivity"])
 def test_arrays_of_frames_cannot_be_written_to(scenario):
     frames = sato.simulate(scenario)

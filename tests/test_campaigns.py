@@ -141,6 +141,12 @@ def test_a_faulty_file_is_refused_in_a_sentence(old, new, said, tmp_path):
     assert not (tmp_path / "out" / tables.TABLE_FILE).exists()
 
 
+def test_scenarios_of_one_name_are_refused():
+    one = sato.read("conflict")
+    with pytest.raises(InputError, match='has 2 of the name "conflict", by which runs are told'):
+        campaign(scenario=[one, "crossing", one]).check_keys()
+
+
 def test_campaigns_and_scenarios_are_not_taken_for_each_other(tmp_path):
     scenario, other = tmp_path / "mine.toml", tmp_path / "many.toml"
     scenario.write_text(sato.read("conflict").to_toml())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from connectivity_cast import fly, posed, spheres
 
+import sato
 from dynamics.vehicle import rotate_by_yaw
 from problems.interaction_graph import Camera, algebraic_connectivity, interaction_graph
 from sato.connectivity.controller import repulsion_gain
@@ -14,6 +15,7 @@ from sato.connectivity.settings import (
     Potential,
     Repulsion,
 )
+from sato.connectivity.stick import WaypointStick
 from sato.network.link import Link
 
 DEATH = 0.2  # [s]
@@ -96,3 +98,18 @@ def test_lost_robot_is_forgotten_after_a_second(estimator, late):
     still = frames[-1].position[1]
     dead = [f.position[1] for f in frames if f.time >= DEATH - 1e-9]
     assert np.array_equal(dead, np.tile(still, (len(dead), 1)))
+
+
+def test_the_last_step_of_a_lost_robot_counts():
+    mission = sato.Connectivity(
+        start=[[0, 0, 3.0], [4, 0, 3.2], [2, 3, 3.0], [-3, 1, 3.5]],
+        yaw=[0.0, -2.8, -0.7, -0.7],
+        duration=2.0,
+        step=0.1,
+        repulsion=Repulsion(strength=1e-6),
+        potential=Potential(strength=0.0),
+        stick=WaypointStick(waypoints=[[8, 0, 3.3]], start_time=0.1),
+        losses=(AgentLoss(0, 1.4),),
+    )
+    report = sato.run(mission).report
+    assert report.line.startswith("BROKEN: separation, 0.756") and "0 and 1 at 1.4 s" in report.line

@@ -12,6 +12,7 @@ import sato
 from problems.alignment import compute_shape_error
 from sato.formation.check.promises import check_arrival, check_run
 from sato.formation.check.recorded import FormationRecord, summarize_flight
+from sato.formation.settings import FrameSettings
 from sato.formation.supervisor import Phase
 from sato.scenario.file import parse
 
@@ -263,8 +264,16 @@ def test_separation_may_lack_what_noise_explains_alone(honest, noise, allowance)
     data, mission, _ = honest
     noisy = replace(mission, frames=replace(mission.frames, noise=noise))
     [near] = [p for p in check_run(data, noisy).promises if p.name == "separation"]
-    assert near.tolerance == pytest.approx(mission.keep_out - allowance, rel=1e-12)
+    assert near.tolerance == pytest.approx(mission.keep_out * (1 - 1e-9) - allowance, rel=1e-12)
     assert ("for noise" in near.message) == (noise > 0)
+
+
+def test_vehicles_at_the_least_distance_keep_it_despite_rounding():
+    row = 1.2 * np.column_stack([np.arange(4), np.zeros(4)])  # two are 1.1999999999999997 m apart
+    mission = sato.Formation(
+        start=row, legs=[sato.FormationLeg(sato.Ring(radius=2.0))], frames=FrameSettings(noise=0.0)
+    )
+    assert sato.run(mission).verdict == "kept"
 
 
 def test_legacy_agents_that_meet_break_separation_alone():

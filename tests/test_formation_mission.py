@@ -169,6 +169,13 @@ def test_arrays_alone_make_a_mission():
     assert np.array_equal(own.desired.graph, graph)
 
 
+def test_more_points_than_vehicles_are_no_formation():
+    six = np.array([[0, 0], [2, 0], [2, 2], [0, 2], [4, 1], [-2, 1]])
+    mission = Formation(start=six[:4], legs=[FormationLeg(six)])
+    with pytest.raises(InputError, match="4 vehicles cannot take up a formation of 6"):
+        mission.draw(np.random.default_rng(0))
+
+
 def test_missing_number_of_agents_and_one_sided_graph_are_refused():
     with pytest.raises(InputError, match=r"swarm\.agents: is missing"):
         Formation(start=Ring(radius=9.0), legs=[FormationLeg("Star")])

@@ -74,6 +74,8 @@ def listed(folder, text, **given):
         ("# flown 2 km away\ny_cm,x_m\n100,2\n", [[2, 1]]),
         ("0,1\n2,1\n", [[0, 1], [2, 1]]),
         ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
+        ("# LVLH: x radial, y along-track, z cross-track\n1,2\n", [[1, 2]]),
+        ("# x right, y up\n1,2\n", [[1, 2]]),
         ("0.0,1.5,2.5\n1.0,3.5,0.5\n", [[0, 1.5, 2.5], [1, 3.5, 0.5]]),
         ("1,0,2\n0,0,2\n", [[1, 0, 2], [0, 0, 2]]),
         ("0,0,5\n1,0,5\n2,0,5\n", [[0, 0, 5], [1, 0, 5], [2, 0, 5]]),
@@ -112,7 +114,12 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("# all in millimetres\n1,2\n", 'a comment has the unit "millimetres"'),
         ("# Kilometers\n1,2\n", 'a comment has the unit "Kilometers"'),
         ("# in thousands of meters\n1,2\n", 'a comment has the unit "thousands"'),
-        ("# NED frame\n1,2\n", 'a comment speaks of "NED", and a header with x, y and z'),
+        ("# NED frame\n1,2\n", 'a comment speaks of "NED", and numbers in the frame of the'),
+        ("# NED\nx,y\n1,2\n", 'a comment speaks of "NED"'),
+        ("# ENU\n1,2\n", 'a comment speaks of "ENU", and a header with x, y and z'),
+        ("# x along-track\nx,y\n1,2\n", 'a comment speaks of "x along"'),
+        ("# LVLH: x: radial, y = cross-track\n1,2\n", 'a comment speaks of "y = cross"'),
+        ("# frame: ECI J2000\n1,2\n", 'a comment speaks of "ECI"'),
         ("x,y\n1,2\n# in inches\n", 'a comment has the unit "inches"'),
         ("# x y in degrees\nx,y\n1,2\n", 'a comment has the unit "degrees"'),
         ("# axes: north east\n1,2\n", 'column "north" is of other axes'),
@@ -471,3 +478,40 @@ def test_objects_that_only_look_like_tables_are_refused_in_our_words():
 
     with pytest.raises(sato.InputError, match=r"numbers or a table of them, got .* type Lazy"):
         sato.Leg(Lazy(), 20)
+
+
+# Labels of other things.
+
+
+def test_labels_of_axes_are_no_vehicles_and_those_of_vehicles_no_axes():
+    def fly(**changes):
+        start, leg = np.array([[0.0, 0.0], [3.0, 0.0]]), sato.Leg(np.array([[0.0, 2], [3, 2]]), 20)
+        given = {"step": 1.0, "comm_radius": 20.0, "collision_radius": 0.5, "max_control": 0.5}
+        model = sato.DoubleIntegrator(2)
+        more = {"max_speed": 1.0} | given | changes
+        return sato.Reconfiguration(model=model, start=start, legs=[leg], **more)
+
+    axes, agents = (xr.DataArray([0.1, 0.2], dims=dim) for dim in ("axis", "agent"))
+    for wrong in ({"x": 0.1, "y": 0.2}, pd.Series({"vx": 0.1, "vy": 0.2}), axes):
+        with pytest.raises(
+            sato.InputError, match=r"has the labels (x and y|vx and vy|axis); a list"
+        ):
+            fly(max_control=wrong)
+    assert fly(max_control=agents).max_control == (0.1, 0.2)
+    with pytest.raises(sato.InputError, match='has the dimension agent, and an entry an axis; "ax'):
+        fly(max_control=None, max_control_axes=agents)
+    assert sato.Sphere(axes, 1.0).center == (0.1, 0.2)
+
+
+def test_a_graph_labeled_in_another_order_than_the_points_is_refused():
+    names, rng = list("abcdef"), np.random.default_rng(0)
+    points = pd.DataFrame(rng.uniform(0, 20, (6, 3)), names, ["x", "y", "z"])
+    graph = pd.DataFrame(1 - np.eye(6, dtype=int), names, names)
+    graph.loc["a", "b"] = graph.loc["b", "a"] = 0
+    plain = sato.FormationLeg(points, graph.to_numpy())
+    other = names[::-1]
+    labeled = xr.DataArray(graph.loc[other, other], dims=("agent", "neighbor"))
+    for wrong in (graph.loc[other, other], graph.loc[other], graph[other], labeled):
+        with pytest.raises(sato.InputError, match="graph: has rows or columns labeled in another"):
+            sato.FormationLeg(points, wrong)
+    assert sato.FormationLeg(points, graph) == plain == sato.FormationLeg(points.values, graph)

@@ -159,10 +159,18 @@ class Away(sato.Sphere):
         return super().nearest(points) + np.array([0.0, 0.5])
 
 
+class Behind(sato.Sphere):
+    """Has the points that are farthest from others as its nearest."""
+
+    def nearest(self, points):
+        return 2 * self.place - super().nearest(points)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: sato.Polytope(points=[[0, 0], [1, 0], [2, 0]]), "no volume"),
+        (lambda: Behind((3, 4), 0.5), "Behind.nearest gives for .* is 1 m farther than another"),
         (lambda: sato.Polytope(points=[[0, 0], [4, 0], [0, 4], [1, 1]]), "point 3 is within"),
         (lambda: sato.Polytope(normals=[[1, 0], [0, 1]], offsets=[1, 1]), "unbounded"),
         (lambda: sato.Polytope(normals=[[1, 0], [-1, 0], [0, 1]], offsets=[1, -2, 1]), "no volume"),

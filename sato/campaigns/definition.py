@@ -3,6 +3,7 @@
 import inspect
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -209,6 +210,12 @@ class Campaign(Definition):
                 with errors_in(place), errors_in(key):
                     _to_json(value)  # refuses what no table holds
         self.to_json()
+        first = range(0, self.points, prod(self._shape[1:]))  # of each scenario
+        names = Counter(self.trial(row).scenario_name for row in first)
+        for name, count in names.items():
+            if count > 1:
+                reason = f'has {count} of the name "{name}", by which runs are told apart'
+                raise InputError("campaign.scenario", f"{reason}; another name for each would do")
         add_modules(self.modules)
         if self.columns:
             with errors_in("campaign.columns"):

@@ -74,10 +74,13 @@ class ClosestPair(NamedTuple):
 
 
 def find_closest_approach(position: Float[Array, "instants agents d"], alive: Alive) -> ClosestPair:
-    """Find the closest approach of all pairs of live agents, between instants too."""
+    """Find the closest approach of all pairs of live agents, between instants too.
+
+    Who is lost at an instant has moved until then.
+    """
     # The last instant is repeated, so that it counts where there is no other.
     way, alive = np.concatenate([position, position[-1:]]), np.concatenate([alive, alive[-1:]])
-    moves = alive[1:] & alive[:-1] & np.isfinite(way[1:]).all(axis=2)
+    moves = alive[:-1] & np.isfinite(way[1:]).all(axis=2)
     change = np.where(moves[..., None], np.diff(way, axis=0), 0.0)
     sampled = sampled_separations(position, alive[:-1])
     bound = float(sampled.min(initial=np.inf))

@@ -92,7 +92,8 @@ def expect_apart(
 ) -> Promise:  # fmt: skip
     """Promise that agents, at a time [s], are as far apart as they must be, but for an error."""
     is_kept = bool(distance - error >= allowed)
-    wrong = f", up to {error:.2g} {unit} wrong," * (error > 1e-12 * distance)  # else by rounding
+    is_rounding = error <= 1e-12 * abs(distance)
+    wrong = "" if is_rounding else f", up to {error:.2g} {unit} wrong,"
     sign = "≥" if is_kept else "<"
     limit = f"{format_value(allowed, digits=6)} {unit}"
     message = f"{format_value(distance, allowed)} {unit}{wrong} {sign} {limit}{text}"

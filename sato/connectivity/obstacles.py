@@ -209,15 +209,16 @@ def min_obstacle_distance(
 ) -> float:
     """Compute the least distance of a live agent on straight lines between instants [m].
 
-    Obstacles are convex, so the distance to one falls and then rises along a line: a ternary
-    search finds its minimum to 1e-9 of the length. Distance changes by no more than the length
-    of the line, so few lines can lead closer than their ends.
+    Who is lost at an instant has moved until then. Obstacles are convex, so the distance to one
+    falls and then rises along a line: a ternary search finds its minimum to 1e-9 of the length.
+    Distance changes by no more than the length of the line, so few lines can lead closer than
+    their ends.
     """
     away = obstacle_distances(position, obstacles)
     least = float(away[alive].min(initial=np.inf))
     far = np.linalg.norm(np.diff(position, axis=0), axis=2)[..., None]
     near = (away[1:] + away[:-1] - far) / 2 < least
-    k, i, which = np.nonzero(near & (alive[1:] & alive[:-1])[..., None])
+    k, i, which = np.nonzero(near & alive[:-1, :, None])
 
     def at(share: Float[Array, " ways"]) -> Float[Array, " ways"]:
         places = position[k, i] + share[:, None] * (position[k + 1, i] - position[k, i])

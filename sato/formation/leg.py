@@ -13,6 +13,7 @@ from pydantic import BeforeValidator
 
 from dynamics.callbacks import freeze
 from dynamics.inputs import read_array
+from dynamics.labels import check_pair_labels
 from dynamics.units import Length, Unit
 from problems.desired_formation import DesiredFormation
 from problems.gain_matrix import GainMatrix
@@ -163,6 +164,14 @@ class FormationLeg(Definition):
     gains: Annotated[AnyGains, Convert(as_gains), "gains of the control law"] = DesignedGains()
     name: Annotated[str | None, "name of the formation in figures"] = None
 
+    def __post_init__(self) -> None:
+        """Refuse a graph whose rows or columns are labeled in another order than the points."""
+        given: Any = self.graph
+        if getattr(given, "ndim", 0) == 2 and given.shape[1] != 2:
+            with errors_in("graph"):
+                check_pair_labels(given, self.formation)
+        super().__post_init__()
+
     def check(self) -> None:
         """Refuse points in motion."""
         if isinstance(self.formation, Points) and self.formation.velocities is not None:
@@ -237,8 +246,9 @@ class FormationLeg(Definition):
         if isinstance(chosen, RandomFormation):
             check_drawn_separation(chosen.separation, keep_out)
             return sample_formation(agents, chosen.box, chosen.separation, rng), "random"
-        name = None if isinstance(chosen, Points) else chosen.kind
-        return place_level(chosen, agents, keep_out), name
+        if not isinstance(chosen, Points):
+            return place_level(chosen, agents, keep_out), chosen.kind
+        return place_level(chosen, max(agents, len(chosen.listed)), keep_out), None
 
     def _draw_graph(self, points: Float[Array, "n 3"], rng: Generator) -> Bool[Array, "n n"]:
         chosen, n = self.graph, len(points)

@@ -24,10 +24,15 @@ class Departure(NamedTuple):
     lost: int = 0  # how many of those need not reach any target
     time: float = 0.0  # [s]
     names: tuple[str, ...] = ()  # of each; by its number if absent
+    last: dict[int, DiscreteModel] | None = None  # by steps, what was discretized last, if kept
 
     def discretize(self, steps: int) -> DiscreteModel:
         """Discretize the shared model over some steps of the leg."""
-        return self.mission.discretize(steps, self.time)
+        kept = {} if self.last is None else self.last
+        if steps not in kept:
+            kept.clear()
+            kept[steps] = self.mission.discretize(steps, self.time)
+        return kept[steps]
 
     def select(self, rows: Int[Array, " k"]) -> "Departure":
         """Return some of the agents."""

@@ -281,10 +281,12 @@ def check_stops(
         slower = float(np.linalg.norm(state[a, d:])) * max(reach, 0.0) / way
         cures = [f"a speed of {round_down(slower)} m/s"]
         cures += _wider(mission, mission.radius_for_way(way))
+        is_sight = "sensing" in mission.reaching_key
+        radius, verb = ("sensing", "see") if is_sight else ("communication", "hear")
         raise InputError(
             where,
             f"agent {agents[a]} needs {way:.4g} m to stop, and within {reach:.4g} m, all that "
-            "the communication radius leaves, it could meet others that it does not hear; "
+            f"the {radius} radius leaves, it could meet what it does not {verb}; "
             f"{join_names(cures)} would do",
         )
 

@@ -51,7 +51,7 @@ def _check_leg(
     targets_after: TargetsAfter,
     budget: pair_reach.Budget,
 ) -> None:
-    mission = departure.mission
+    mission, departure = departure.mission, departure._replace(last={})
     steps, control = mission.legs[number].steps, float(mission.largest_control.max())
     room = 1.0 if number == 0 else room_at_start(departure, steps)
     try:
@@ -85,7 +85,7 @@ def _check_leg(
     within, slow = f"in {steps} steps of {mission.step:g} s", mission.slow_speed
     if slow is not None:
         within += f", at {slow:.3g} m/s, from which vehicles stop before they meet others unheard"
-        fast = departure._replace(mission=replace(mission, allow_undetectable=True))
+        fast = departure._replace(mission=replace(mission, allow_undetectable=True), last={})
         if _Search(fast, lambda _: targets, SEARCH_TIME).is_enough(steps, room):
             cures.append(f"{mission.reaching_key} = {round_up(mission.radius_for_full_speed)}")
     where = f"leg.{number}.steps"
@@ -135,7 +135,7 @@ def find_least_steps(where: str, departure: Departure, targets_after: TargetsAft
     Raises:
         InputError: No number of steps is enough.
     """
-    search = _Search(departure, targets_after, AUTOMATIC_TIME)
+    search = _Search(departure._replace(last={}), targets_after, AUTOMATIC_TIME)
     longest = _longest(departure, targets_after(1))
     is_enough = partial(search.is_enough, trusts_bounds=True)
     least = 1 if is_enough(1) else _find_least(is_enough, 1, longest)

@@ -40,8 +40,14 @@ OTHER_UNIT = re.compile(  # than those of SI, in a comment
     r"|thousands|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b",
     re.IGNORECASE,
 )
-OTHER_FRAME = re.compile(  # than x, y and z, in a comment
-    r"\b(ned|enu|ecef|north|east|down|lat(itude)?|lon(gitude)?|polar|spherical|pixels?)\b",
+MAYBE_OTHER_AXES = re.compile(  # than x, y and z, in a comment; a header says that they are not
+    r"\b(enu|north|east|down|lat(itude)?|lon(gitude)?|polar|spherical|pixels?)\b", re.IGNORECASE
+)
+OTHER_FRAME = re.compile(  # than that of a mission, in a comment
+    r"\b(ned|ecef|eci|j2000|[gi]crf|teme|body[ -](frame|axes)"
+    r"|x[\s:=(>-]+((is|the) )*(along|cross|in-?track|transverse|nadir)"
+    r"|y[\s:=(>-]+((is|the) )*(radial|cross|nadir|zenith|down)"
+    r"|z[\s:=(>-]+((is|the) )*(radial|along|in-?track|transverse|nadir|down))\b",
     re.IGNORECASE,
 )
 LABEL = re.compile(r"^(columns?|axes|fields?|header|names?|order|format)\s*[:=]\s*", re.IGNORECASE)
@@ -147,8 +153,11 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
                 raise InputError("", f'two headers disagree; drop the comment "{note}"')
             names = names or noted
             unit = OTHER_UNIT.search(note)
-            if "x" in units and not names and (frame := OTHER_FRAME.search(note)):
+            frame, cure = OTHER_FRAME.search(note), "numbers in the frame of the mission would do"
+            if frame is None and not names:
+                frame = MAYBE_OTHER_AXES.search(note)
                 cure = "a header with x, y and z says which column is which"
+            if frame and {"x", "vx"} & set(units):
                 raise InputError("", f'a comment speaks of "{frame[0]}", and {cure}')
             if units and unit and not any(re.search(r"[_\[(/]", name) for name in names or ()):
                 cure = "numbers without one are in SI; columns are named as in x_mm or vx_km_h"

@@ -43,7 +43,7 @@ from dynamics.callbacks import Callback, guard
 from dynamics.doors import check_methods, checked
 from dynamics.inputs import LARGEST, shorten
 from dynamics.inputs import as_array as as_array
-from dynamics.labels import to_plain
+from dynamics.labels import check_axis_labels, check_vehicle_labels, to_plain
 from dynamics.model import Model
 from dynamics.plant import Plant
 from dynamics.quantities import to_si, within_turns
@@ -204,6 +204,7 @@ class Field:
         self.is_inline = Inline in marks
         self.may_be_huge = getattr(marks.get(Le), "le", 0) > LARGEST
         self.is_list = get_origin(self.hint) is tuple and bool(self.variants)
+        self.is_of_axes = name.endswith("_axes") or COORDINATES in self.marks
         # A table of its own: one definition without a choice.
         self.is_nested = len(self.variants) == 1 and not (self.is_list or self.is_inline)
 
@@ -241,6 +242,10 @@ class Field:
         is_list = get_origin(self.hint) is tuple or Array in self.others
         is_column = hasattr(value, "to_numpy") and hasattr(value, "__len__")  # and no timestamp
         is_labeled = self.unit or is_list or is_column
+        if EACH in self.marks:
+            check_vehicle_labels(value)
+        elif self.is_of_axes:
+            check_axis_labels(value)
         value = (to_plain if is_labeled else to_si)(value, self.unit)
         if isinstance(value, np.generic):
             value = value.item()
@@ -360,7 +365,8 @@ def _as_coordinates(value: Any) -> tuple[float, ...]:
     return tuple(as_array(value, 1).tolist())
 
 
-Coordinates = Annotated[tuple[float, ...], BeforeValidator(_as_coordinates)]
+COORDINATES = BeforeValidator(_as_coordinates)
+Coordinates = Annotated[tuple[float, ...], COORDINATES]
 Vector = Annotated[Array, BeforeValidator(lambda value: as_array(value, 1))]
 Matrix = Annotated[Array, BeforeValidator(lambda value: as_array(value, 2))]
 

@@ -185,7 +185,9 @@ def check_distances(record: ConnectivityRecord) -> Iterator[Promise]:
     place, at = tuple[int, ...](), 0.0
     away = obstacle_distances(record.frames.position, record.mission.obstacle_arrays)
     if away.size:  # nearest at an instant, as good as on the way to the next
-        away[~record.frames.alive] = np.inf
+        moved = record.frames.alive.copy()
+        moved[1:] |= moved[:-1]  # until it was lost
+        away[~moved] = np.inf
         k, i, _ = map(int, np.unravel_index(int(np.argmin(away)), away.shape))
         place, at = (i,), float(time[k])
     yield expect_apart(record.min_obstacle_distance, limit, place, at, name="obstacles")

@@ -28,7 +28,7 @@ PROMISES = tuple(
     " speed climb acceleration climb_acceleration legs assignment points separation reached".split()
 )
 NOISE_ALLOWANCE = 0.05  # at most so much closer [m]
-ROUNDING_TOLERANCE = 1e-9  # relative, of speeds and accelerations
+ROUNDING_TOLERANCE = 1e-9  # relative, of distances, speeds and accelerations
 
 
 def check_run(data: RunData, mission: Formation, rng: Generator | None = None) -> Report:
@@ -193,7 +193,7 @@ def check_separation(record: FormationRecord) -> Promise:
     """Check that no two vehicles come closer in the plane than keep_out, but for noise."""
     keep_out, found = record.mission.keep_out, record.closest_approach
     noise = min(NOISE_SIGMAS * record.mission.frames.noise, NOISE_ALLOWANCE)
-    allowed = keep_out - noise
+    allowed = keep_out * (1 - ROUNDING_TOLERANCE) - noise
     text = f", the keep-out of {keep_out:g} m less {noise:g} m for noise" * (noise > 0)
     return expect_apart(found.distance, allowed, found.pair, found.time(record.time), text=text)
 
