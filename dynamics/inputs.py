@@ -66,7 +66,8 @@ def read_array(value: Any, kinds: str = "iuf") -> Array:
     Raises:
         InputError: It is masked, has rows of several lengths, or numbers of another kind.
     """
-    if isinstance(value, np.ma.MaskedArray):
+    rows = value if isinstance(value, list | tuple) else []
+    if any(isinstance(part, np.ma.MaskedArray) for part in (value, *rows)):
         raise InputError("", "must not be a masked array; value.filled(...) is a plain one")
     wanted = {"biuf": "booleans", "iu": "integers", "iufc": "numbers"}.get(kinds, "real numbers")
     if value is None or isinstance(value, str | bytes | bytearray | memoryview | dict | type):

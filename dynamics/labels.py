@@ -123,6 +123,8 @@ def to_plain(value: Any, unit: str, units: Units | None = None) -> Any:
 def _read_labels(value: Any, unit: str, units: Units | None) -> Any:
     if hasattr(value, "isel"):
         value = _sort_labels(value, ROW_IN_TIME if unit == "m_s" else ROW_DIMENSION)
+    elif hasattr(value, "sort_index") and hasattr(value, "to_frame"):
+        value = _sort_series(value)
     name = getattr(value, "name", None)
     spelled = _unit_in(name) if isinstance(name, str) else None  # of pandas and xarray
     if spelled is not None and _find_declared(value) is not None:
@@ -279,6 +281,16 @@ def _is_in_order(index: Any) -> bool:
     endings = [re.search(r"\d+$", str(label)) for label in index]  # agent0, agent1, …
     numbers = [int(ending[0]) for ending in endings if ending]
     return len(numbers) < len(index) or numbers == sorted(numbers)
+
+
+def _sort_series(value: Any) -> Any:
+    """Sort a column of pandas by the numbers of its rows, where its index has such a name."""
+    name = str(value.index.name or "-")
+    if not re.fullmatch(NAMES[ID], name, re.IGNORECASE) or _is_text(value.index):
+        return value
+    if value.index.has_duplicates:
+        raise InputError("", f'has labels of "{name}" that are repeated')
+    return value.sort_index()
 
 
 def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:

@@ -194,7 +194,8 @@ class LinearModel(Model):
 class SymbolicModel(NonlinearModel):
     """A model written in CasADi symbols and differentiated automatically.
 
-    `casadi()` is the expression as a function, which `rate` evaluates too.
+    `casadi()` is the expression as a function, which `rate` evaluates too. The expression is asked
+    for once: with other numbers, make another model.
 
     Args:
         axes: Dimension of space.

@@ -41,7 +41,7 @@ def to_si(value: Any, unit: str) -> Any:
         return value
     numbers, powers = split
     if {name: power for name, power in powers.items() if power} != _powers(unit):
-        noun = SUFFIXES[unit].quantity if unit else "number without a unit"
+        noun = SUFFIXES[unit].quantity if unit else "plain number, in SI units"
         wanted = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
         raise InputError("", f"must be {wanted}, got {_format(value)}")
     return numbers if np.ndim(numbers) else numbers.item()

@@ -339,8 +339,9 @@ def intersect_half_spaces(
     if found.status != 0 or found.x[d] <= LEAST_THICKNESS * np.abs(offsets).max():
         raise InputError("offsets_m", "leave no volume within all faces; larger ones would do")
     try:
-        corners = HalfspaceIntersection(np.column_stack([unit, -offsets]), found.x[:d])
-        listed = corners.intersections
+        with np.errstate(divide="ignore", invalid="ignore"):  # of an unbounded body
+            corners = HalfspaceIntersection(np.column_stack([unit, -offsets]), found.x[:d])
+            listed = corners.intersections
         if not np.isfinite(listed).all() or np.abs(listed).max() > wide / 2:
             raise InputError("normals", "leave the body unbounded; faces on all sides would do")
         return np.asarray(listed[ConvexHull(listed).vertices])

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
+from dynamics.callbacks import as_kind
 from dynamics.doors import check_methods, checked
 from sato.atomic import RECORD, remove_leftovers, replace_atomically
 from sato.check.common import EventLog
@@ -53,7 +54,7 @@ RecordT = TypeVar("RecordT", bound="RunRecord[Any, Any, Any]")
 class CommonVariables(NamedTuple):
     """Variables of every run beside those of its frames."""
 
-    control_instant: Annotated[Bool[Array, " time"], "1", "true where a control is commanded"]
+    control_instant: Annotated[Bool[Array, " time"], "1", "true at a control instant"]
     event: Annotated[Shaped[Array, " event"], "1", "event as JSON, with its time and agents"]
     axis: Annotated[Shaped[Array, " axis"], "1", "axis of the coordinate frame"]
 
@@ -93,7 +94,8 @@ def collect_run_data(
     variables = stack(frames) | write_variables(common)
     if system.collect is not None:
         variables |= write_variables(system.collect(frames, mission))
-    return RunData(variables, attributes | dict(system.attributes(mission))).seal()
+    constants = as_kind(system.attributes(mission), Mapping, "a dict of System.attributes")
+    return RunData(variables, attributes | dict(constants)).seal()
 
 
 @checked

@@ -18,7 +18,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.random import Generator
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
-from dynamics.callbacks import CallbackError, is_own, is_strict, strictly
+from dynamics.callbacks import CallbackError, as_kind, is_own, is_strict, strictly
 from dynamics.doors import checked
 from sato import frames as flight_frames
 from sato import record
@@ -361,7 +361,8 @@ def _draw(
         mission = scenario
     rng = np.random.default_rng(seed)
     try:
-        drawn = mission.draw(rng)
+        kind = type(mission)
+        drawn = as_kind(mission.draw(rng), kind, f"a mission of {kind.__name__}.draw")
         return mission.without_files(), drawn, rng  # as they are now
     except InputError as error:
         if isinstance(scenario, str | Path):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.callbacks import CallbackError
+from dynamics.callbacks import CallbackError, as_kind
 from sato.check import common
 from sato.check.report import JUDGED, Promise, Report, expect_none
 from sato.damage import find_damage
@@ -70,7 +70,10 @@ def _check(data: RunData, mission: Any) -> Report:
         raise
     except InputError as error:
         raise RunFileError(f"the scenario in the file cannot be flown: {error}") from error
-    return _report_damage(data, drawn) or load_system(data.attrs["system"]).check(data, drawn, rng)
+    if damage := _report_damage(data, drawn):
+        return damage
+    report = load_system(data.attrs["system"]).check(data, drawn, rng)
+    return as_kind(report, Report, "a Report of System.check")  # type: ignore[no-any-return]
 
 
 def _report_damage(data: RunData, drawn: Any | None) -> Report | None:

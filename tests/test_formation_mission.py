@@ -331,4 +331,7 @@ def test_a_push_that_begins_after_every_flight_is_doubted():
 
 def test_a_push_beyond_the_limit_of_speed_is_doubted():
     (doubt,) = drawn(f"push=[{push(velocity='[100, 0, 0]')}]").warnings()
-    assert "a push asks for 100 m/s, and control.max_speed_m_s = " in doubt
+    assert "a push asks for 100 m/s in the plane, and swarm.max_speed_m_s = " in doubt
+    (doubt,) = drawn(f"push=[{push(velocity='[0, 0, -0.45]')}]").warnings()
+    assert "asks for 0.45 m/s up or down, and swarm.max_climb_m_s = 0.3 is all that it" in doubt
+    assert not drawn(f"push=[{push(velocity='[0.45, 0, 0.28]')}]").warnings()

@@ -210,8 +210,11 @@ def test_quantities_become_numbers_in_si_units():
     [
         (lambda: sato.Ring(radius=5 * u.s), r"radius_m: must be a length, got 5\.0 s"),
         (lambda: sato.Ring(radius=REGISTRY.Quantity(5, "s")), "must be a length, got 5 second"),
-        (lambda: sato.Loss("random", share=5 * u.m), "share: must be a number without a unit"),
-        (lambda: sato.Loss("random", share=5 * u.deg), "share: must be a number without a unit"),
+        (lambda: sato.Loss("random", share=5 * u.m), "share: must be a plain number, in SI units"),
+        (
+            lambda: sato.Loss("random", share=5 * u.deg),
+            "share: must be a plain number, in SI units",
+        ),
         (lambda: sato.Points([[1 * u.km, 2.0]]), "numbers with a unit and numbers without"),
         (lambda: as_points(np.ones((3, 4)) * u.m), "one unit for positions and velocities"),
         (lambda: as_points(SQUARE * u.s), "must be a length, got an array in s"),
@@ -485,11 +488,17 @@ def test_objects_that_only_look_like_tables_are_refused_in_our_words():
 
 def test_labels_of_axes_are_no_vehicles_and_those_of_vehicles_no_axes():
     def fly(**changes):
-        start, leg = np.array([[0.0, 0.0], [3.0, 0.0]]), sato.Leg(np.array([[0.0, 2], [3, 2]]), 20)
-        given = {"step": 1.0, "comm_radius": 20.0, "collision_radius": 0.5, "max_control": 0.5}
+        leg = sato.Leg(np.array([[0.0, 2], [3, 2]]), 20)
+        given = {
+            "start": np.array([[0.0, 0.0], [3.0, 0.0]]),
+            "step": 1.0,
+            "comm_radius": 20.0,
+            "collision_radius": 0.5,
+            "max_control": 0.5,
+        }
         model = sato.DoubleIntegrator(2)
         more = {"max_speed": 1.0} | given | changes
-        return sato.Reconfiguration(model=model, start=start, legs=[leg], **more)
+        return sato.Reconfiguration(model=model, legs=[leg], **more)
 
     axes, agents = (xr.DataArray([0.1, 0.2], dims=dim) for dim in ("axis", "agent"))
     for wrong in ({"x": 0.1, "y": 0.2}, pd.Series({"vx": 0.1, "vy": 0.2}), axes):
@@ -498,6 +507,12 @@ def test_labels_of_axes_are_no_vehicles_and_those_of_vehicles_no_axes():
         ):
             fly(max_control=wrong)
     assert fly(max_control=agents).max_control == (0.1, 0.2)
+    numbered = pd.Series([0.1, 0.2], pd.Index([7, 3], name="id"))
+    assert fly(max_control=numbered).max_control == (0.2, 0.1)  # as rows of a start would be
+    with pytest.raises(sato.InputError, match="must not be a masked array"):
+        fly(max_control=np.ma.array([0.1, 0.2], mask=[0, 1]))
+    with pytest.raises(sato.InputError, match="must not be a masked array"):
+        fly(start=list(np.ma.array([[0.0, 0], [3, 0]], mask=[[0, 0], [1, 0]])))
     with pytest.raises(sato.InputError, match='has the dimension agent, and an entry an axis; "ax'):
         fly(max_control=None, max_control_axes=agents)
     assert sato.Sphere(axes, 1.0).center == (0.1, 0.2)
@@ -514,4 +529,5 @@ def test_a_graph_labeled_in_another_order_than_the_points_is_refused():
     for wrong in (graph.loc[other, other], graph.loc[other], graph[other], labeled):
         with pytest.raises(sato.InputError, match="graph: has rows or columns labeled in another"):
             sato.FormationLeg(points, wrong)
+    assert sato.FormationLeg(points, graph.to_numpy(dtype=float)) == plain
     assert sato.FormationLeg(points, graph) == plain == sato.FormationLeg(points.values, graph)

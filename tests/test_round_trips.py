@@ -258,6 +258,7 @@ def test_pairs_take_a_key_away_with_python_none():
         ("plan.step_min=none", "plan.step_s: is missing, and has no default"),
         ("plan.foresigt=none", "there is no such key; did you mean plan.foresight_steps?"),
         ("leg.0.lose.kind=random", 'leg.lose is no table yet; leg.0.lose={kind = "…"}, with all'),
+        ("leg.2.steps=30", "leg.2.steps: is of a table that is not there: of leg there are 1"),
         ("leg.steps.x=3", "there is no such key; did you mean leg.steps?"),
         ("swarm=none", "swarm.start: is missing"),
         ("chief=none", "is motion about an orbit, and this mission has none"),

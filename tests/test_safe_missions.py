@@ -18,6 +18,8 @@ from reconfiguration_runs import at_rest, fly, leg_to, make_mission, row
 import sato
 from problems.path_separation import are_hulls_separated
 from sato.reconfiguration import first_commitment, loop
+from sato.reconfiguration.check.promises import check_separation
+from sato.reconfiguration.check.recorded import ReconfigurationRecord
 from sato.reconfiguration.first_commitment import find_first_commitments
 from sato.reconfiguration.stopping import (
     pad_controls,
@@ -139,3 +141,21 @@ def test_mission_without_reach_is_refused():
     changes = {"comm_radius": 1.1, "max_speed": 0.01, "margin": 0.62}
     with pytest.raises(sato.InputError, match="no more than the 1"):
         make_mission(2 * row(2, 0.0), sato.Leg(2 * row(2, 1.0), 400), **changes)
+
+
+def test_the_error_of_the_check_decides_no_verdict_that_more_pieces_decide():
+    class Drag(sato.LinearModel):
+        axes = 2
+
+        def A(self, t):
+            return np.block([[np.zeros((2, 2)), np.eye(2)], [np.zeros((2, 2)), -0.4 * np.eye(2)]])
+
+    start = np.array([[-6.0, 0.0], [6.0, 0.1], [0.0, 6.0], [0.1, -6.0]])
+    limits = {"max_control": 0.2, "max_speed": 1.0, "comm_radius": 12.0, "collision_radius": 0.5}
+    leg = sato.Leg(-start, 30)
+    more = {"step": 1.0, "assignment": "given"} | limits
+    run = sato.run(sato.Reconfiguration(model=Drag(), start=start, legs=[leg], **more))
+    record = ReconfigurationRecord.from_data(run.recorded, run.drawn_mission)
+    coarse, fine = check_separation(record, finer=0), check_separation(record)
+    assert coarse.tolerance <= coarse.value < 0.50001 and not coarse.kept
+    assert fine.kept and run.verdict == "kept"

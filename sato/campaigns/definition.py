@@ -364,7 +364,7 @@ def _to_json(value: Any) -> str:
     def default(part: Any) -> Any:
         if isinstance(part, Mission):
             return tomllib.loads(part.to_toml())
-        if isinstance(part, Array | np.generic):
+        if type(part) is Array or isinstance(part, np.generic):
             return part.tolist()
         raise InputError(
             "", f"no file holds {format_value(part)}; numbers, texts, lists and tables would do"

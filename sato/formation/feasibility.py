@@ -42,10 +42,16 @@ def duration_doubts(mission: "Formation") -> list[str]:
     late = [push.start for push in mission.operator_commands if push.start >= longest]
     end = f"and the flight ends at {longest:g} s at the latest"
     found = [f"a push is to begin at {start:g} s, {end}" for start in late]
-    speeds = (float(np.linalg.norm(push.velocity)) for push in mission.operator_commands)
-    if (fastest := max(speeds, default=0.0)) > mission.max_speed:
-        limit = f"control.max_speed_m_s = {mission.max_speed:g} is all that it is given"
-        found.append(f"a push asks for {fastest:g} m/s, and {limit}")
+    pushes = [np.asarray(push.velocity, dtype=float) for push in mission.operator_commands]
+    level = max((float(np.linalg.norm(push[:2])) for push in pushes), default=0.0)
+    climb = max((abs(float(push[2])) for push in pushes), default=0.0)
+    for asked, key, way in (
+        (level, "max_speed", "in the plane"),
+        (climb, "max_climb", "up or down"),
+    ):
+        if asked > (most := getattr(mission, key)):
+            limit = f"swarm.{key}_m_s = {most:g} is all that it is given"
+            found.append(f"a push asks for {asked:g} m/s {way}, and {limit}")
     if (round_time := 1 / mission.radio.message_rate) > mission.assignment.period:
         others = f"auctions are held every {mission.assignment.period:g} s"
         found.append(f"a round of messages takes {round_time:g} s, and {others}")

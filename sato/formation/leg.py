@@ -137,9 +137,9 @@ def _as_graph(value: Any) -> Any:
     value = value.to_numpy() if hasattr(value, "to_numpy") else value  # of pandas
     if not isinstance(value, list | tuple | Array):
         return value
-    array = read_array(value, "biu")
+    array = read_array(value, "biuf")
     is_matrix = array.ndim == 2 and array.shape[1] != 2 and ((array == 0) | (array == 1)).all()
-    if array.dtype != bool and not is_matrix:
+    if array.dtype != bool and not is_matrix and array.dtype.kind != "f":
         return EdgeList(array)
     array = array.astype(bool)
     is_square = array.ndim == 2 and array.shape[0] == array.shape[1]

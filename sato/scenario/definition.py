@@ -41,7 +41,7 @@ from pydantic import (
 
 from dynamics.callbacks import Callback, guard
 from dynamics.doors import check_methods, checked
-from dynamics.inputs import LARGEST, shorten
+from dynamics.inputs import LARGEST, read_array, shorten
 from dynamics.inputs import as_array as as_array
 from dynamics.labels import check_axis_labels, check_vehicle_labels, to_plain
 from dynamics.model import Model
@@ -343,7 +343,7 @@ def _check_each(value: Any, check: Callable[[Any], Any]) -> Any:
         except ValidationError as error:
             raise explain(error) from error
 
-    entries = value.tolist() if isinstance(value, Array) else value
+    entries = read_array(value).tolist() if isinstance(value, Array) else value
     if not isinstance(entries, list | tuple) or not entries:
         raise InputError("", "must be a number, or a list with an entry for each vehicle")
     return map_numbered(check_one, entries)

@@ -190,9 +190,20 @@ def _unknown(address: str, plain: str, spots: list[Spot]) -> InputError:
         entry = spot.entries.get(table.rpartition(".")[2])
         if entry and f".{spot.address(entry.field.key)}".endswith(f".{table}"):
             if any(find_key(key, layout(kind)[""]) for kind in entry.field.variants):
-                whole = f'{address.rpartition(".")[0]}={{kind = "…"}}, with all of its keys,'
-                return InputError(address, f"{table} is no table yet; {whole} would do")
+                return InputError(address, _suggest_table(address, table, entry.field, spot.data))
     return InputError(address, unknown_key(plain, known).reason)
+
+
+def _suggest_table(address: str, table: str, field: Field, data: dict[str, Any]) -> str:
+    """Say why a table has no such key, and how a whole one is given."""
+    there, whole = data.get(field.key), address.rpartition(".")[0]
+    if field.is_list and not field.kinds:
+        count = len(there) if isinstance(there, list) else 0
+        fault = f"is of a table that is not there: of {table} there are {count}"
+        return f"{fault}; {table}=[{{…}}, …], with all of them, would do"
+    fault = "is of another kind" if isinstance(there, dict) else "is no table yet"
+    kind = 'kind = "…"' if field.kinds else "…"
+    return f"{table} {fault}; {whole}={{{kind}}}, with all of its keys, would do"
 
 
 def _parse_value(written: str) -> Any:

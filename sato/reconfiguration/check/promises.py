@@ -36,6 +36,7 @@ PROMISES = tuple(
 )
 # Rounding in one step, relative to the largest position, speed or control.
 ROUNDING_TOLERANCE = 1e-10
+MOST_REFINEMENTS = 4  # of the cubic pieces, each with a sixteenth of the error
 
 
 def check_run(data: RunData, mission: Reconfiguration, rng: np.random.Generator) -> Report:
@@ -214,8 +215,11 @@ def check_targets(record: ReconfigurationRecord) -> Promise:
     return expect_small_error("targets", errors, tolerance, "error of a target, at most")
 
 
-def check_separation(record: ReconfigurationRecord) -> Promise:
-    """Check that no two agents come closer than R_col, at samples or between them."""
+def check_separation(record: ReconfigurationRecord, finer: int = MOST_REFINEMENTS) -> Promise:
+    """Check that no two agents come closer than R_col, at samples or between them.
+
+    With more pieces, so many times at most, where their error decides.
+    """
     mission, frames, radius = record.mission, record.frames, record.mission.largest_separation
     if mission.has_own_separations:
         found, error = record.relative_separations
@@ -227,6 +231,8 @@ def check_separation(record: ReconfigurationRecord) -> Promise:
     nearest, allowed = found.minimum, radius * (1 - 1e-9)
     time = record.pieces.duration * (nearest.piece + nearest.fraction)
     least = min(nearest.distance, sampled)
+    if finer and least - error < allowed <= least:
+        return check_separation(record.refined(), finer - 1)
     return expect_apart(least, allowed, nearest.pair, time, error, unit=unit)
 
 
@@ -239,8 +245,11 @@ def _least_relative(record: ReconfigurationRecord) -> float:
     return float(np.min(distance, where=alive[:, i] & alive[:, j], initial=np.inf))
 
 
-def check_obstacles(record: ReconfigurationRecord) -> Promise:
-    """Check that no agent comes closer than R to an obstacle, or leaves the allowed positions."""
+def check_obstacles(record: ReconfigurationRecord, finer: int = MOST_REFINEMENTS) -> Promise:
+    """Check that no agent comes closer than R to an obstacle, or leaves the allowed positions.
+
+    With more pieces, so many times at most, where their error decides.
+    """
     error, mission = record.pieces.error, record.mission
     beyond, agent, time = find_excess(record)
     # Walls stand so much farther away that vehicles reach targets on the bounds.
@@ -255,6 +264,8 @@ def check_obstacles(record: ReconfigurationRecord) -> Promise:
     radius = float(record.mission.radii[found.agent])
     kind = record.mission.obstacles[found.obstacle].kind
     text, allowed = f" to obstacle {found.obstacle}, a {kind}", radius * (1 - 1e-9)
+    if finer and found.room + radius - error < allowed <= found.room + radius:
+        return check_obstacles(record.refined(), finer - 1)
     near = (found.room + radius, allowed, (found.agent,), found.time, error)
     return expect_apart(*near, name="obstacles", text=text)
 
