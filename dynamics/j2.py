@@ -125,9 +125,9 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
         ż = (v_x/r − ω_z tan θ) z  no difference in inclination, so that nodes drift alike
         ẏ                          the energy of the chief, J2 included
 
-    Where nodes hardly drift apart, 8π k_J2 sin i / μr² < 5e-5 (near the equator: below 0.08° at
-    500 km, 3.1° in geostationary orbit), ż = v_x z/r instead: |z| is then largest at this
-    position, and no latitude is refused.
+    Where nodes hardly drift apart, 8π |k_J2| sin i / μp² < 5e-5 with p = h²/μ (near the equator:
+    below 0.08° at 500 km, 3.1° in geostationary orbit), ż = v_x z/r instead: the angle out of the
+    plane is then largest at this position, and no latitude is refused.
 
     [Morgan2012] removes the drift of the linear equations, of the nonlinear ones and of J2
     one after the other; here the exact energy removes all three at once. About a circular
@@ -145,7 +145,8 @@ def invariant_velocity(orbit: Orbit, position: Vectors, t: float = 0.0) -> Vecto
     """
     chief = orbit.elements_at(t)
     r, v_x, h, _, inclination, theta = chief
-    drift = 8 * np.pi * orbit.k_J2 * np.sin(inclination) / (orbit.mu * r**2)
+    p = h**2 / orbit.mu
+    drift = 8 * np.pi * abs(orbit.k_J2) * np.sin(inclination) / (orbit.mu * p**2)
     slope = np.tan(theta) if drift > SLOW_NODES else 0.0
     x, y, z = np.moveaxis(position, -1, 0)
     rates = lvlh_rates(chief, orbit.k_J2)

@@ -192,10 +192,11 @@ def check_axis_labels(value: Any) -> None:
 def check_pair_labels(matrix: Any, rows: Any) -> None:
     """Refuse a matrix whose labels are in another order than those of the rows that it pairs.
 
-    Labels are those of pandas or xarray; rows without labels have any in order.
+    Labels are those of pandas or xarray; those that count from 0 say nothing of the order.
     """
-    given = _labels_of(matrix)
-    known = _labels_of(rows)[:1] or [axis for axis in given[:1] if _is_in_order(axis)]
+    given = [axis for axis in _labels_of(matrix) if not _counts(axis)]
+    known = [axis for axis in _labels_of_rows(rows) if not _counts(axis)]
+    known = known or [axis for axis in given[:1] if _is_in_order(axis)]
     wanted = [axis.tolist() if _is_text(axis) else sorted(axis.tolist()) for axis in known]
     if any(axis.tolist() not in wanted for axis in given):
         cure = "a table with labels in the order of the points would do"
@@ -203,13 +204,27 @@ def check_pair_labels(matrix: Any, rows: Any) -> None:
 
 
 def _labels_of(value: Any) -> list[Any]:
-    """Return the labels of rows, and of columns, but for those that count from 0."""
+    """Return the labels of the axes of a table of pandas, or of an array of xarray."""
     if hasattr(value, "iloc"):
-        axes = [value.index, *([value.columns] if hasattr(value, "columns") else [])]
-    else:
-        dims = [dim for dim in getattr(value, "dims", ()) if dim in value.coords]
-        axes = [value.indexes[dim] for dim in dims]
-    return [axis for axis in axes if axis.tolist() != list(range(len(axis)))]
+        return [value.index, *([value.columns] if hasattr(value, "columns") else [])]
+    return [value.indexes[d] for d in getattr(value, "dims", ()) if d in value.coords]
+
+
+def _labels_of_rows(value: Any) -> list[Any]:
+    if hasattr(value, "iloc"):
+        labels = _labels_of(value)
+        return labels[1:] if _names_axes(labels[0]) else labels[:1]
+    dims = set(getattr(value, "dims", ())) & set(getattr(value, "coords", ()))
+    axes = (
+        {d for d in dims if AXIS_DIMENSION.fullmatch(str(d))} | set(_text_axes(value))
+        if dims
+        else set()
+    )
+    return [value.indexes[d] for d in dims - axes]
+
+
+def _counts(labels: Any) -> bool:
+    return bool(labels.tolist() == list(range(len(labels))))
 
 
 def example_of(units: Units) -> str:
@@ -252,9 +267,14 @@ def _is_text(labels: Any) -> bool:
 
 
 def _text_axes(value: Any) -> list[Any]:
-    """Return the dimensions of an array of xarray whose labels name axes, and not rows."""
-    names = [dim for dim in value.dims if not ROW_DIMENSION.fullmatch(str(dim))]
-    return [dim for dim in names if _is_text(value[dim])]
+    """Return the dimensions of an array of xarray whose labels are names, but for those of rows."""
+    named = [dim for dim in value.dims if _is_text(value[dim])]
+    bodies = [dim for dim in named if re.fullmatch(rf"(?:{_BODY})s?", str(dim), re.IGNORECASE)]
+    return [dim for dim in named if dim not in bodies or _names_axes(value[dim])]
+
+
+def _names_axes(labels: Any) -> bool:
+    return all(knows_name(str(label), STATES) for label in np.asarray(labels).tolist())
 
 
 def _split_frame(value: Any) -> tuple[list[Any], list[Any]] | None:

@@ -141,10 +141,11 @@ def test_a_faulty_file_is_refused_in_a_sentence(old, new, said, tmp_path):
     assert not (tmp_path / "out" / tables.TABLE_FILE).exists()
 
 
-def test_scenarios_of_one_name_are_refused():
+def test_scenarios_of_one_name_are_told_apart_by_a_number():
     one = sato.read("conflict")
-    with pytest.raises(InputError, match='has 2 of the name "conflict", by which runs are told'):
-        campaign(scenario=[one, "crossing", one]).check_keys()
+    rows = campaign(scenario=[one, "crossing", one], grid={}, draw={})
+    names = [rows.trial(row).scenario_name for row in range(rows.points)]
+    assert names == ["conflict", "crossing", "conflict 2"]
 
 
 def test_campaigns_and_scenarios_are_not_taken_for_each_other(tmp_path):

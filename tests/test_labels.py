@@ -76,6 +76,7 @@ def listed(folder, text, **given):
         ("# x y\n# x | y\nx_m,y_m\n1,2\n", [[1, 2]]),
         ("# LVLH: x radial, y along-track, z cross-track\n1,2\n", [[1, 2]]),
         ("# x right, y up\n1,2\n", [[1, 2]]),
+        ("# J2000 epoch, not ECI; x along the runway\nx,y\n1,2\n", [[1, 2]]),
         ("0.0,1.5,2.5\n1.0,3.5,0.5\n", [[0, 1.5, 2.5], [1, 3.5, 0.5]]),
         ("1,0,2\n0,0,2\n", [[1, 0, 2], [0, 0, 2]]),
         ("0,0,5\n1,0,5\n2,0,5\n", [[0, 0, 5], [1, 0, 5], [2, 0, 5]]),
@@ -114,12 +115,11 @@ def test_columns_of_a_file_are_read_by_their_names(tmp_path, text, states):
         ("# all in millimetres\n1,2\n", 'a comment has the unit "millimetres"'),
         ("# Kilometers\n1,2\n", 'a comment has the unit "Kilometers"'),
         ("# in thousands of meters\n1,2\n", 'a comment has the unit "thousands"'),
-        ("# NED frame\n1,2\n", 'a comment speaks of "NED", and numbers in the frame of the'),
-        ("# NED\nx,y\n1,2\n", 'a comment speaks of "NED"'),
-        ("# ENU\n1,2\n", 'a comment speaks of "ENU", and a header with x, y and z'),
-        ("# x along-track\nx,y\n1,2\n", 'a comment speaks of "x along"'),
-        ("# LVLH: x: radial, y = cross-track\n1,2\n", 'a comment speaks of "y = cross"'),
-        ("# frame: ECI J2000\n1,2\n", 'a comment speaks of "ECI"'),
+        ("# NED frame\n1,2\n", 'a comment speaks of "NED", and a header with x, y and z'),
+        ("# frame: ECI J2000\n1,2\n", 'a comment speaks of "ECI", and a header with x, y and z'),
+        ("# x along-track\nx,y\n1,2\n", 'a comment speaks of "x along-track", and x is radial'),
+        ("# x-axis: along track\nx,y\n1,2\n", 'a comment speaks of "x-axis: along track"'),
+        ("# LVLH: x: radial, y = cross-track\n1,2\n", 'a comment speaks of "y = cross-track"'),
         ("x,y\n1,2\n# in inches\n", 'a comment has the unit "inches"'),
         ("# x y in degrees\nx,y\n1,2\n", 'a comment has the unit "degrees"'),
         ("# axes: north east\n1,2\n", 'column "north" is of other axes'),
@@ -516,6 +516,30 @@ def test_labels_of_axes_are_no_vehicles_and_those_of_vehicles_no_axes():
     with pytest.raises(sato.InputError, match='has the dimension agent, and an entry an axis; "ax'):
         fly(max_control=None, max_control_axes=agents)
     assert sato.Sphere(axes, 1.0).center == (0.1, 0.2)
+
+
+@pytest.mark.parametrize("labels", [list("abcd"), range(1, 5), range(4)])
+def test_a_labeled_graph_of_points_without_labels_is_taken(labels):
+    graph = pd.DataFrame(1 - np.eye(4, dtype=int), labels, labels)
+    frame = pd.DataFrame(SQUARE, columns=["x", "y"])
+    array = xr.DataArray(SQUARE.T, [("axis", ["x", "y"]), ("agent", list(labels))])
+    plain = sato.FormationLeg(SQUARE, graph.to_numpy())
+    for points in (frame, frame.T, frame.assign(id=range(1, 5)), array, SQUARE):
+        assert sato.FormationLeg(points, graph) == plain
+
+
+@pytest.mark.parametrize("weight", [0.3, -1.0, 1e-17, 2.0])
+def test_a_matrix_of_other_numbers_than_0_and_1_is_no_graph(weight):
+    with pytest.raises(
+        sato.InputError, match="graph: must be a symmetric matrix of True and False"
+    ):
+        sato.FormationLeg(SQUARE, weight * (1 - np.eye(4)))
+
+
+@pytest.mark.parametrize("dims", [("dim_0", "dim_1"), ("row", "id"), ("agent", "axis")])
+def test_names_of_axes_are_obeyed_on_any_dimension(dims):
+    swapped = xr.DataArray(SQUARE[:, ::-1], dims=dims, coords={dims[1]: ["y", "x"]})
+    np.testing.assert_array_equal(as_points(swapped).positions, SQUARE)
 
 
 def test_a_graph_labeled_in_another_order_than_the_points_is_refused():

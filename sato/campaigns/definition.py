@@ -3,7 +3,6 @@
 import inspect
 import json
 import tomllib
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -20,7 +19,7 @@ from dynamics.callbacks import CallbackError
 from dynamics.units import Unit
 from sato.campaigns.distributions import Distribution, as_distribution
 from sato.campaigns.functions import FUNCTION, add_modules, find_function, name_of_function
-from sato.campaigns.trial import Source, Trial, generator
+from sato.campaigns.trial import Source, Trial, generator, name_of_source
 from sato.scenario.definition import Convert, Definition, In, NotNegative, Positive, errors_in
 from sato.scenario.errors import InputError, ScenarioError, closest_name, format_value
 from sato.scenario.file import Mission, Name, load_toml, read_data, read_text
@@ -200,7 +199,15 @@ class Campaign(Definition):
             keep=self.keep,
             folder=folder,
             modules=self.modules,
+            scenario_name=self._scenario_names[first] if self.scenario else "",
         )
+
+    @cached_property
+    def _scenario_names(self) -> list[str]:
+        """Names of the scenarios; of those that come again, with a number behind."""
+        names = [name_of_source(source) for source in self.scenario]
+        times = [names[: i + 1].count(name) for i, name in enumerate(names)]
+        return [f"{name} {n}" if n > 1 else name for name, n in zip(names, times, strict=True)]
 
     def check_keys(self) -> None:
         """Refuse functions that are not there, and unknown keys, of which the nearest is named."""
@@ -210,12 +217,6 @@ class Campaign(Definition):
                 with errors_in(place), errors_in(key):
                     _to_json(value)  # refuses what no table holds
         self.to_json()
-        first = range(0, self.points, prod(self._shape[1:]))  # of each scenario
-        names = Counter(self.trial(row).scenario_name for row in first)
-        for name, count in names.items():
-            if count > 1:
-                reason = f'has {count} of the name "{name}", by which runs are told apart'
-                raise InputError("campaign.scenario", f"{reason}; another name for each would do")
         add_modules(self.modules)
         if self.columns:
             with errors_in("campaign.columns"):

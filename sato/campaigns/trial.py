@@ -38,6 +38,13 @@ TrialFunction = Callable[["Trial"], Outcome]
 Flights = Generator[tuple["Trial", Outcome], None, None]  # as they end
 
 
+def name_of_source(source: Any) -> str:
+    """Return the name of a scenario, or of the function that draws it."""
+    if isinstance(source, str):
+        return source.partition(":")[2]
+    return source.name if isinstance(source, Mission) else str(source.get("name", ""))
+
+
 class Trial(NamedTuple):
     """Run to be made: all that a worker needs."""
 
@@ -52,15 +59,7 @@ class Trial(NamedTuple):
     folder: str = ""  # of the campaign
     case: str = ""
     modules: str = ""  # folder of the modules of functions
-
-    @property
-    def scenario_name(self) -> str:
-        """Name of the scenario, or of the function that draws it."""
-        if isinstance(self.source, str):
-            return self.source.partition(":")[2]
-        if isinstance(self.source, Mission):
-            return self.source.name
-        return str(self.source.get("name", ""))
+    scenario_name: str = ""  # by which runs are told apart
 
     def build_mission(self) -> Mission:
         """Build the mission; refuse wrong parameters, and chance but for that of the generator."""

@@ -40,14 +40,16 @@ OTHER_UNIT = re.compile(  # than those of SI, in a comment
     r"|thousands|(?:(?<=in )|(?<=[\[(]))(ms|milliseconds|minutes|hours|deg(rees)?))\b",
     re.IGNORECASE,
 )
-MAYBE_OTHER_AXES = re.compile(  # than x, y and z, in a comment; a header says that they are not
-    r"\b(enu|north|east|down|lat(itude)?|lon(gitude)?|polar|spherical|pixels?)\b", re.IGNORECASE
+OTHER_FRAME = re.compile(  # than x, y and z, in a comment
+    r"\b(ned|enu|ecef|eci|j2000|[gi]crf|teme|body[ -](frame|axes)|north|east|down|lat(itude)?"
+    r"|lon(gitude)?|polar|spherical|pixels?)\b",
+    re.IGNORECASE,
 )
-OTHER_FRAME = re.compile(  # than that of a mission, in a comment
-    r"\b(ned|ecef|eci|j2000|[gi]crf|teme|body[ -](frame|axes)"
-    r"|x[\s:=(>-]+((is|the) )*(along|cross|in-?track|transverse|nadir)"
-    r"|y[\s:=(>-]+((is|the) )*(radial|cross|nadir|zenith|down)"
-    r"|z[\s:=(>-]+((is|the) )*(radial|along|in-?track|transverse|nadir|down))\b",
+_OF = r"(?:[\s:=(>-]+(?:axis|is|in|the|points)\b)*[\s:=(>-]+"
+OTHER_LVLH = re.compile(  # than x radial, y along-track and z cross-track, in a comment
+    rf"\b(x{_OF}((along|cross|in)[ -]?track|transverse|nadir)"
+    rf"|y{_OF}(radial|cross[ -]?track|nadir|zenith)"
+    rf"|z{_OF}(radial|(along|in)[ -]?track|transverse|nadir))\b",
     re.IGNORECASE,
 )
 LABEL = re.compile(r"^(columns?|axes|fields?|header|names?|order|format)\s*[:=]\s*", re.IGNORECASE)
@@ -153,9 +155,9 @@ def read_rows(path: Path, content: str, units: Units) -> tuple[list[str] | None,
                 raise InputError("", f'two headers disagree; drop the comment "{note}"')
             names = names or noted
             unit = OTHER_UNIT.search(note)
-            frame, cure = OTHER_FRAME.search(note), "numbers in the frame of the mission would do"
+            frame, cure = OTHER_LVLH.search(note), "x is radial here, y along-track, z cross-track"
             if frame is None and not names:
-                frame = MAYBE_OTHER_AXES.search(note)
+                frame = OTHER_FRAME.search(note)
                 cure = "a header with x, y and z says which column is which"
             if frame and {"x", "vx"} & set(units):
                 raise InputError("", f'a comment speaks of "{frame[0]}", and {cure}')

@@ -239,7 +239,9 @@ class ReconfigurationRecord(
         alive, adrift = (np.repeat(flag, count, axis=0)[: len(x)] for flag in flags)
         error = self._interpolation_error(x, count)
         if self.clock_steps.any():
-            x, alive, adrift = (delay_rows(part, self.clock_steps) for part in (x, alive, adrift))
+            x, alive, adrift = (
+                delay_rows(part, count * self.clock_steps) for part in (x, alive, adrift)
+            )
         return Pieces(x, alive, adrift, self.mission.step / count, error)
 
     @cached_property
