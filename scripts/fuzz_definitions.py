@@ -94,6 +94,7 @@ def draw_together(what: str, axes: int, rng: Generator) -> dict[str, Any]:
     no_elements = dict.fromkeys("semi_major_axis eccentricity inclination node perigee".split())
     no_elements |= dict.fromkeys("anomaly radius radial_speed angular_momentum latitude".split())
     date = f"{rng.integers(1, 9998):04}-02-28T23:59:59.{rng.integers(10**6):06}"
+    stick = {"file": None, "times": np.array([0.0, x, 1 + x]), "velocities": np.full((3, 3), x)}
     paper = {"legacy": True, "unwrapped_angles": True, "avoidance_range": 1.5 + x}
     found: dict[str, dict[str, Any]] = {
         "Reconfiguration.max_control_axes": {"max_control": None, "max_control_axes": several},
@@ -115,6 +116,8 @@ def draw_together(what: str, axes: int, rng: Generator) -> dict[str, Any]:
         "Connectivity.yaw": {"start": box, "yaw": rng.uniform(-3, 3, 6)},
         "Poses.positions": {"positions": box},
         "CollisionAvoidance.legacy": paper,
+        "RecordedStick.times": stick,
+        "RecordedStick.velocities": stick,
     }
     drags = {f"PlantSettings.{name}": drag | air for name in drag | air}
     return (found | drags).get(what, {})
