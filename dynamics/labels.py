@@ -36,6 +36,7 @@ AXIS_DIMENSION = re.compile(
 ROW_DIMENSION = re.compile(
     rf"({_BODY}|row|index|id|number|vertex|corner|obstacle)s?|vertices|dim_\d+", re.IGNORECASE
 )
+BODY_DIMENSION = re.compile(rf"(?:{_BODY})s?", re.IGNORECASE)
 ROW_IN_TIME = re.compile(f"{ROW_DIMENSION.pattern}|time|instant", re.IGNORECASE)  # of a stick
 OTHER_AXES = re.compile(
     r"(north|east|lat|lon|alt)\w*|down|up|radial|along.*|cross.*|[nedurtswh]", re.IGNORECASE
@@ -185,7 +186,7 @@ def check_vehicle_labels(value: Any) -> None:
 def check_axis_labels(value: Any) -> None:
     """Refuse numbers of axes that have the dimension of vehicles."""
     dims = [str(dim) for dim in value.dims] if hasattr(value, "isel") else []
-    if any(re.fullmatch(rf"(?:{_BODY})s?", dim, re.IGNORECASE) for dim in dims):
+    if any(map(BODY_DIMENSION.fullmatch, dims)):
         raise InputError("", f'has the dimension {dims[0]}, and an entry an axis; "axis" would do')
 
 
@@ -214,13 +215,10 @@ def _labels_of_rows(value: Any) -> list[Any]:
     if hasattr(value, "iloc"):
         labels = _labels_of(value)
         return labels[1:] if _names_axes(labels[0]) else labels[:1]
-    dims = set(getattr(value, "dims", ())) & set(getattr(value, "coords", ()))
-    axes = (
-        {d for d in dims if AXIS_DIMENSION.fullmatch(str(d))} | set(_text_axes(value))
-        if dims
-        else set()
-    )
-    return [value.indexes[d] for d in dims - axes]
+    if not hasattr(value, "isel"):
+        return []
+    axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))] + _text_axes(value)
+    return [value.indexes[dim] for dim in value.dims if dim in value.coords and dim not in axes]
 
 
 def _counts(labels: Any) -> bool:
@@ -230,7 +228,7 @@ def _counts(labels: Any) -> bool:
 def example_of(units: Units) -> str:
     """Name a column without and with a unit, as an example."""
     name, unit = next(iter(units.items()), ("x", "m"))
-    return f"{name}" if not unit else f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
+    return name if not unit else f"{name} or {name}_{EXAMPLES.get(unit, unit)}"
 
 
 def _split_table(value: Any) -> tuple[list[Any], list[Any]] | None:
@@ -269,7 +267,7 @@ def _is_text(labels: Any) -> bool:
 def _text_axes(value: Any) -> list[Any]:
     """Return the dimensions of an array of xarray whose labels are names, but for those of rows."""
     named = [dim for dim in value.dims if _is_text(value[dim])]
-    bodies = [dim for dim in named if re.fullmatch(rf"(?:{_BODY})s?", str(dim), re.IGNORECASE)]
+    bodies = [dim for dim in named if BODY_DIMENSION.fullmatch(str(dim))]
     return [dim for dim in named if dim not in bodies or _names_axes(value[dim])]
 
 
@@ -319,7 +317,8 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
     if repeated := [dim for dim in numbered if len(np.unique(value[dim])) < value.sizes[dim]]:
         raise InputError("", f'has labels of "{repeated[0]}" that are repeated')
     value = value.sortby(numbered) if numbered else value
-    for dim in set(value.dims) & set(value.coords) - set(_text_axes(value)):
+    names = _text_axes(value)
+    for dim in [dim for dim in value.dims if dim in value.coords and dim not in names]:
         if not _is_in_order(value.indexes[dim]):
             reason = f'has labels of "{dim}" out of order'
             raise InputError("", f'{reason}; drop_vars("{dim}") keeps this order')
@@ -327,7 +326,7 @@ def _sort_labels(value: Any, rows_known: re.Pattern[str]) -> Any:
     if len(value.dims) < 2 and not is_dataset:
         return value
     axes = [dim for dim in value.dims if AXIS_DIMENSION.fullmatch(str(dim))]
-    axes = axes or ([] if is_dataset else _text_axes(value))
+    axes = axes or ([] if is_dataset else names)
     is_plain = all(str(dim).startswith("dim_") for dim in value.dims)
     rows = [str(dim) for dim in value.dims if dim not in axes]
     is_known = len(axes) + is_dataset == len(rows) == 1 and all(map(rows_known.fullmatch, rows))

@@ -72,8 +72,9 @@ def _check(data: RunData, mission: Any) -> Report:
         raise RunFileError(f"the scenario in the file cannot be flown: {error}") from error
     if damage := _report_damage(data, drawn):
         return damage
-    report = load_system(data.attrs["system"]).check(data, drawn, rng)
-    return as_kind(report, Report, "a Report of System.check")  # type: ignore[no-any-return]
+    checked = load_system(data.attrs["system"]).check(data, drawn, rng)
+    report: Report = as_kind(checked, Report, "a Report of System.check")
+    return report
 
 
 def _report_damage(data: RunData, drawn: Any | None) -> Report | None:

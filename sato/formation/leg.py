@@ -142,9 +142,9 @@ def _as_graph(value: Any) -> Any:
     is_list = array.dtype.kind in "iu" or array.shape[1:] == (2,)
     if array.dtype != bool and not is_matrix and is_list:
         return EdgeList(array)
-    is_square = is_matrix or array.dtype == bool
+    is_square = array.ndim == 2 and array.shape[0] == array.shape[1]
+    is_square &= is_matrix or array.dtype == bool
     array = array.astype(bool)
-    is_square = is_square and array.ndim == 2 and array.shape[0] == array.shape[1]
     if not is_square or (array != array.T).any() or array.trace():
         raise InputError("", "must be a symmetric matrix of True and False, without loops")
     return EdgeList.from_graph(array)
